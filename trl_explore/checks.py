@@ -1,0 +1,65 @@
+"""Checks of arguments: one clear line that names the value and what is allowed."""
+
+from __future__ import annotations
+
+import math
+from numbers import Integral, Real
+from typing import Any
+
+
+def check_number(
+    name: str,
+    value: Any,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    low_open: bool = False,
+    high_open: bool = False,
+) -> float:
+    """Return ``value`` as a float if it is a finite number within the bounds.
+
+    Raises:
+        ValueError: otherwise; the message names the argument, the value and the range.
+
+    Example:
+        >>> check_number("epsilon", 0.3, 0, 1)
+        0.3
+        >>> check_number("epsilon", 2, 0, 1)
+        Traceback (most recent call last):
+        ...
+        ValueError: epsilon must be a number in [0, 1], got 2
+    """
+    number = isinstance(value, Real) and not isinstance(value, bool)
+    inside = (
+        number
+        and math.isfinite(value)
+        and (value > low if low_open else value >= low)
+        and (value < high if high_open else value <= high)
+    )
+    if not inside:
+        raise ValueError(
+            f"{name} must be a number {interval(low, high, low_open, high_open)}, got {value!r}"
+        )
+    return float(value)
+
+
+def check_integer(name: str, value: Any, low: int) -> int:
+    """Return ``value`` as an int if it is an integer >= ``low``.
+
+    Raises:
+        ValueError: otherwise; the message names the argument, the value and the bound.
+    """
+    if not isinstance(value, Integral) or isinstance(value, bool) or value < low:
+        raise ValueError(f"{name} must be an integer >= {low}, got {value!r}")
+    return int(value)
+
+
+def interval(low: float, high: float, low_open: bool, high_open: bool) -> str:
+    """The words for a range, such as ``in [0, 1]`` or ``> 0``."""
+    if math.isinf(high) and math.isinf(low):
+        return "that is finite"
+    if math.isinf(high):
+        return f"{'>' if low_open else '>='} {low:g}"
+    if math.isinf(low):
+        return f"{'<' if high_open else '<='} {high:g}"
+    return f"in {'(' if low_open else '['}{low:g}, {high:g}{')' if high_open else ']'}"

@@ -1,0 +1,165 @@
+"""The contract of every collector: whole episodes, one per active trial."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import OrderedDict
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictSequential
+from torchrl.collectors import BaseCollector
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import ExplorationType
+
+from trl_explore.envs import LaneVectorEnv, lane_env
+from trl_explore.strategies import Strategy
+
+
+class EpisodeCollector(BaseCollector):
+    """A TorchRL collector that yields one complete episode of every active trial.
+
+    Every frame is taken with the parameters that the trial had when the episode began. No frame
+    is lost, none is stale, none comes from a stopped trial, none is padding. The data are flat
+    [frames]: trials in ascending order, the frames of a trial contiguous and in order of time,
+    each episode ended by ("next", "done"). The entries:
+
+        trial              [frames]               int64, the row of the policy's parameters
+        observation        [frames, n_features]   the policy's input
+        action             [frames]               int64
+        action_log_prob    [frames]               nats, under μ
+        next.reward        [frames, 1]            float32
+        next.done, next.terminated, next.truncated  [frames, 1]  bool
+        next.step_count    [frames, 1]            int64, from 1
+        next.episode_reward [frames, 1]           float32, the sum so far; the score at done
+
+    and "action_mask" where the environment has one. As under TorchRL's ``compact_obs``, the next
+    observation is not stored twice.
+
+    Args:
+        env: an environment of ``envs.make_env``; its lanes are the trials.
+        policy: ``TensorDictSequential(policy, strategy)``.
+
+    Keyword Args:
+        exploration_type: RANDOM explores; the others take the argmax.
+        total_frames: iteration ends when this many frames have been delivered; −1: never.
+
+    Example:
+        >>> from tensordict.nn import TensorDictSequential
+        >>> from trl_explore.collectors import TorchRLCollector
+        >>> from trl_explore.envs import make_env
+        >>> from trl_explore.policy import LinearPolicy
+        >>> from trl_explore.strategies import EpsilonGreedy
+        >>> env = make_env("CartPole-v1", trials=3)
+        >>> policy = TensorDictSequential(LinearPolicy(env), EpsilonGreedy(0.3))
+        >>> collector = TorchRLCollector(env, policy)
+        >>> int(collector.collect()["next", "done"].sum())
+        3
+    """
+
+    def __init__(
+        self,
+        env: TransformedEnv,
+        policy: TensorDictSequential,
+        *,
+        exploration_type: ExplorationType = ExplorationType.RANDOM,
+        total_frames: int = -1,
+    ) -> None:
+        super().__init__()
+        self.closed = True
+        self.env = env
+        self.policy = policy
+        self.lanes: LaneVectorEnv = lane_env(env)
+        self.exploration_type = exploration_type
+        self.total_frames = total_frames
+        self.strategy.check_trials(self.trials)
+        self.frames = 0
+        self.episodes = np.zeros(self.lanes.num_envs, dtype=np.int64)
+        self.closed = False
+
+    @property
+    def strategy(self) -> Strategy:
+        """The strategy at the end of the policy."""
+        strategy = self.policy[-1]
+        if not isinstance(strategy, Strategy):
+            raise ValueError(
+                "the collector's policy must be TensorDictSequential(policy, strategy); "
+                f"its last module is a {type(strategy).__name__}"
+            )
+        return strategy
+
+    @property
+    def trials(self) -> int:
+        """The number of trials."""
+        return self.lanes.num_envs
+
+    def collect(self, active: NDArray[np.bool_] | None = None) -> TensorDictBase:
+        """One whole episode of every active trial.
+
+        Args:
+            active: [trials] bool, the trials to collect; None takes all.
+
+        Returns:
+            The frames; they are valid until the next call, which may reuse their memory.
+
+        Raises:
+            ValueError: if ``active`` has the wrong shape or is nowhere true.
+        """
+        if active is None:
+            active = np.ones(self.trials, dtype=np.bool_)
+        active = np.asarray(active, dtype=np.bool_)
+        if active.shape != (self.trials,) or not active.any():
+            raise ValueError(
+                f"active must be a bool array [{self.trials}] with a true entry, got {active!r}"
+            )
+        data = self._collect(active)
+        self.episodes += active
+        self.frames += len(data)
+        return data
+
+    @abstractmethod
+    def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
+        """The episode ``self.episodes[k]`` of every active trial k."""
+
+    def iterator(self) -> Iterator[TensorDictBase]:
+        """Deliver episodes until ``total_frames`` is reached, or for ever."""
+        while self.total_frames < 0 or self.frames < self.total_frames:
+            yield self.collect()
+
+    def set_seed(self, seed: int, static_seed: bool = False) -> int:
+        """Start again at episode 0 of every trial under ``seed``; returns the next seed to use."""
+        self.lanes.reseed(seed)
+        self.episodes[:] = 0
+        return seed if static_seed else seed + 1
+
+    def state_dict(self) -> OrderedDict[str, Any]:
+        """What decides the next episodes: policy, strategy, seed and episode counters."""
+        return OrderedDict(
+            policy_state_dict=self.policy.state_dict(),
+            seed=self.lanes.seed,
+            episodes=torch.from_numpy(self.episodes.copy()),
+            frames=self.frames,
+        )
+
+    def load_state_dict(self, state_dict: OrderedDict[str, Any]) -> None:
+        """Go on where ``state_dict`` was taken."""
+        self.policy.load_state_dict(state_dict["policy_state_dict"])
+        self.lanes.reseed(state_dict["seed"])
+        self.episodes[:] = state_dict["episodes"].numpy()
+        self.frames = state_dict["frames"]
+
+    def shutdown(
+        self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True
+    ) -> None:
+        """Close the environment."""
+        if not self.closed:
+            self.closed = True
+            if close_env and not self.env.is_closed:
+                self.env.close(raise_if_closed=raise_on_error)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(env={self.lanes.id}, trials={self.trials})"

@@ -1,0 +1,81 @@
+"""The collector that runs TorchRL's environment, transforms, policy and strategy as they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs.utils import set_exploration_type
+
+from trl_explore.collectors.base import EpisodeCollector
+from trl_explore.streams import Stream, generator
+
+NOISE_STEPS = 128
+"""How many steps of action noise are drawn at a time."""
+
+KEYS = ("trial", "observation", "action", "action_log_prob", "action_mask")
+NEXT_KEYS = ("reward", "done", "terminated", "truncated", "step_count", "episode_reward")
+
+
+class TorchRLCollector(EpisodeCollector):
+    """Steps any gymnasium environment, with any strategy and any policy; the definition of right.
+
+    All lanes share one TorchRL step; a lane that has finished its episode is not stepped by the
+    environment, and its rows are dropped. Arguments and data are those of ``EpisodeCollector``.
+    """
+
+    @torch.no_grad()
+    def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
+        lanes = self.lanes
+        lanes.episodes[:] = self.episodes
+        noise = _Noise(self, np.flatnonzero(active))
+        trial = torch.arange(self.trials)
+        frames: list[TensorDictBase] = []
+        running: list[NDArray[np.bool_]] = []
+        reset = TensorDict({"_reset": torch.from_numpy(active).unsqueeze(-1)}, [self.trials])
+        with set_exploration_type(self.exploration_type):
+            td = self.env.reset(reset)
+            lanes.running[~active] = False
+            while lanes.running.any():
+                td.set("trial", trial)
+                td.set("noise", noise.step(lanes.running))
+                running.append(lanes.running.copy())
+                td = self.env.step(self.policy(td))
+                frames.append(self._frame(td))
+                td = self.env._step_mdp(td)
+        mask = torch.from_numpy(np.stack(running)).t()
+        return torch.stack(frames, 1)[mask]
+
+    def _frame(self, td: TensorDictBase) -> TensorDictBase:
+        source = {key: td.get(key) for key in KEYS if key in td}
+        after = td.get("next")
+        source["next"] = TensorDict._new_unsafe(
+            {key: after.get(key) for key in NEXT_KEYS}, batch_size=td.batch_size
+        )
+        return TensorDict._new_unsafe(source, batch_size=td.batch_size)
+
+
+class _Noise:
+    """The action noise u of the lanes, step by step, from the trials' own streams."""
+
+    def __init__(self, collector: EpisodeCollector, lanes: NDArray[np.int64]) -> None:
+        env = collector.lanes
+        self.generators = {
+            int(k): generator(
+                env.seed, Stream.ACTION, env.first_trial + int(k), int(collector.episodes[k])
+            )
+            for k in lanes
+        }
+        self.block = torch.zeros(NOISE_STEPS, env.num_envs, dtype=torch.float64)
+        self.t = 0
+
+    def step(self, running: NDArray[np.bool_]) -> torch.Tensor:
+        """The noise of the next step [trials]."""
+        row = self.t % NOISE_STEPS
+        if row == 0:
+            block = self.block.numpy()
+            for lane in np.flatnonzero(running).tolist():
+                block[:, lane] = self.generators[lane].random(NOISE_STEPS)
+        self.t += 1
+        return self.block[row]

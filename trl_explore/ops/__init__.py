@@ -1,0 +1,12 @@
+"""Arithmetic on frames and lanes whose cost per frame is as small as that of a compiled step.
+
+Each operation has one formula, written twice: in torch, for any device, shape and dtype, and
+compiled, for flat frames on the CPU. No sum runs over the frames of more than one trial, and
+every sum runs in the order of the frames, so that a trial does not depend on its neighbours.
+"""
+
+from trl_explore.ops.linear import lane_linear
+from trl_explore.ops.log_prob import categorical_log_prob
+from trl_explore.ops.returns import return_to_go
+
+__all__ = ["categorical_log_prob", "lane_linear", "return_to_go"]

@@ -1,0 +1,314 @@
+"""The files of a job: the only place that knows their names and columns, for writing and reading.
+
+    trials.csv              one row per trial
+    episodes.csv            one row per episode, by iteration and then trial (can be switched off)
+    scalars/*.csv           learning curves averaged over the trials (TorchRL's CSVLogger)
+    weights.safetensors     the final policy of every trial
+    run.json                configuration, versions, seed, wall time; written last
+
+A folder holds a finished job exactly if it holds ``run.json``. Every file appears at once and
+whole; what an interrupted job left behind is removed when the job starts again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+from collections.abc import Iterable, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from trl_explore.analysis.outcomes import STATUSES, Outcomes
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from torch import Tensor
+
+    from trl_explore.trials import Trials
+
+TRIALS, EPISODES, SCALARS = "trials.csv", "episodes.csv", "scalars"
+WEIGHTS, RUN = "weights.safetensors", "run.json"
+TRIAL_COLUMNS = (
+    "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
+)  # fmt: skip
+EPISODE_COLUMNS = ("trial", "iteration", "score", "frames")
+PACKAGES = ("trl_explore", "torch", "torchrl", "tensordict", "gymnasium", "numpy", "numba")
+
+
+class ResultsError(ValueError):
+    """A folder that does not hold what it should; the message is one line."""
+
+
+# Writing
+
+
+def clear(job: Path) -> None:
+    """Remove the results of a job, finished or not, from its folder; ``run.json`` first."""
+    for name in (RUN, TRIALS, EPISODES, WEIGHTS):
+        (job / name).unlink(missing_ok=True)
+    shutil.rmtree(job / SCALARS, ignore_errors=True)
+
+
+def write_job(
+    job: Path,
+    trials: Trials,
+    weights: Mapping[str, Tensor],
+    *,
+    config: Mapping[str, Any],
+    experiment: str,
+    strategy: str,
+    collector: str,
+    seconds: float,
+    episodes: bool = True,
+) -> None:
+    """Write every file of a finished job.
+
+    Args:
+        job: the folder, which exists and holds no results.
+        trials: the record of the trials, all of them stopped.
+        weights: name -> parameter [trials, ...].
+        config: the resolved configuration.
+        experiment: name of the sweep.
+        strategy: name of the strategy.
+        collector: name of the collector that was used.
+        seconds: wall time of the training.
+        episodes: whether to write ``episodes.csv``.
+    """
+    _write_text(job / TRIALS, _trials_csv(trials, config))
+    if episodes:
+        _write_text(job / EPISODES, _episodes_csv(trials, config["first_trial"]))
+    _write_scalars(job, trials)
+    _write_weights(job / WEIGHTS, weights)
+    run = {
+        "status": "finished",
+        "experiment": experiment,
+        "strategy": strategy,
+        "seed": config["seed"],
+        "trials": len(trials),
+        "collector": collector,
+        "seconds": seconds,
+        "config": config,
+        "versions": {"python": platform.python_version()} | {p: version(p) for p in PACKAGES},
+        "machine": {"system": platform.system(), "processor": platform.machine()},
+    }
+    _write_text(job / RUN, json.dumps(run, indent=2) + "\n")
+
+
+def _write_text(path: Path, text: str) -> None:
+    _write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _write_whole(path: Path, write: Any) -> None:
+    """Let ``write`` fill a temporary file beside ``path``, and move it there when it is whole."""
+    temporary = path.with_name(f".{path.name}.tmp")
+    try:
+        write(temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _number(value: float) -> str:
+    """The shortest text that reads back as the same float64."""
+    return repr(float(value))
+
+
+def _trials_csv(trials: Trials, config: Mapping[str, Any]) -> str:
+    lines = [",".join(TRIAL_COLUMNS)]
+    for k in range(len(trials)):
+        row = (
+            config["first_trial"] + k,
+            config["seed"],
+            trials.iterations[k],
+            trials.converged[k],
+            _number(trials.score[k]),
+            trials.frames[k],
+            f"{trials.seconds[k]:.6f}",
+            trials.status[k],
+        )
+        lines.append(",".join(map(str, row)))
+    return "\n".join(lines) + "\n"
+
+
+def _episodes_csv(trials: Trials, first_trial: int) -> str:
+    columns = trials.episodes()
+    columns["trial"] = columns["trial"] + first_trial
+    rows = zip(*(columns[name].tolist() for name in EPISODE_COLUMNS), strict=True)
+    lines = [f"{trial},{iteration},{score},{frames}" for trial, iteration, score, frames in rows]
+    return "\n".join([",".join(EPISODE_COLUMNS), *lines]) + "\n"
+
+
+def _write_scalars(job: Path, trials: Trials) -> None:
+    from torchrl.record import CSVLogger
+
+    parent = job / ".scalars.tmp"
+    shutil.rmtree(parent, ignore_errors=True)  # the logger appends to what it finds
+    logger = CSVLogger(exp_name="curves", log_dir=str(parent))
+    for name, curve in trials.curves().items():
+        for step, value in enumerate(curve.tolist(), start=1):
+            logger.log_scalar(name, value, step=step)
+    logger.experiment.close() if hasattr(logger.experiment, "close") else None
+    os.replace(parent / "curves" / "scalars", job / SCALARS)
+    shutil.rmtree(parent)
+
+
+def _write_weights(path: Path, weights: Mapping[str, Tensor]) -> None:
+    from safetensors.torch import save_file
+
+    tensors = {name: tensor.detach().contiguous() for name, tensor in weights.items()}
+    _write_whole(path, lambda temporary: save_file(tensors, temporary))
+
+
+# Reading
+
+
+def is_finished(job: Path) -> bool:
+    """Whether the folder holds a finished job."""
+    return (job / RUN).is_file()
+
+
+def read_run(job: Path) -> dict[str, Any]:
+    """``run.json`` of a finished job.
+
+    Raises:
+        ResultsError: if it is missing or not what it should be.
+    """
+    try:
+        run = json.loads((job / RUN).read_text(encoding="utf-8"))
+        run["config"], run["strategy"], run["experiment"], run["trials"]  # noqa: B018
+    except FileNotFoundError:
+        raise ResultsError(f"{job}: no finished job ({RUN} is missing)") from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ResultsError(f"{job / RUN}: not readable as the record of a job ({error})") from None
+    return run
+
+
+def read_trials(job: Path) -> pd.DataFrame:
+    """``trials.csv`` as a data frame, checked.
+
+    Raises:
+        ResultsError: if the file is missing, truncated or foreign.
+    """
+    frame = _read_csv(job / TRIALS, TRIAL_COLUMNS)
+    if not frame["status"].isin(STATUSES).all():
+        raise ResultsError(f"{job / TRIALS}: a status is not one of {', '.join(STATUSES)}")
+    for name in ("trial", "seed", "iterations", "frames"):
+        if frame[name].dtype.kind != "i":
+            raise ResultsError(f"{job / TRIALS}: column {name} is not of integers")
+    if frame["converged"].dtype.kind != "b" or frame["score"].dtype.kind not in "fi":
+        raise ResultsError(f"{job / TRIALS}: column converged or score is not of its type")
+    return frame
+
+
+def read_episodes(job: Path) -> pd.DataFrame:
+    """``episodes.csv`` as a data frame.
+
+    Raises:
+        ResultsError: if the file is missing, truncated or foreign.
+    """
+    return _read_csv(job / EPISODES, EPISODE_COLUMNS)
+
+
+def read_curves(job: Path) -> pd.DataFrame:
+    """The learning curves of a job, one column each, indexed by iteration (from 1).
+
+    Raises:
+        ResultsError: if there are none.
+    """
+    import pandas as pd
+
+    files = sorted((job / SCALARS).glob("*.csv"))
+    if not files:
+        raise ResultsError(f"{job / SCALARS}: no learning curves")
+    curves = {
+        file.stem: pd.read_csv(file, header=None, names=["iteration", "value"], index_col=0)[
+            "value"
+        ]
+        for file in files
+    }
+    return pd.DataFrame(curves)
+
+
+def _read_csv(path: Path, columns: Iterable[str]) -> pd.DataFrame:
+    import pandas as pd
+
+    try:
+        frame = pd.read_csv(path)
+    except FileNotFoundError:
+        raise ResultsError(f"{path}: missing") from None
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path}: not readable as CSV ({str(error).splitlines()[0]})") from None
+    missing = [name for name in columns if name not in frame.columns]
+    if missing:
+        raise ResultsError(f"{path}: no column {', '.join(missing)}")
+    if frame[list(columns)].isna().any(axis=None):
+        raise ResultsError(f"{path}: a value is missing")
+    return frame
+
+
+def read_job(job: Path) -> Outcomes:
+    """The outcomes of a finished job.
+
+    Raises:
+        ResultsError: if the folder does not hold one, or its files contradict each other.
+    """
+    run, frame = read_run(job), read_trials(job)
+    config = run["config"]
+    if len(frame) != run["trials"]:
+        raise ResultsError(f"{job / TRIALS}: {len(frame)} trials, but the job had {run['trials']}")
+    parameters = {k: v for k, v in config["strategy"].items() if not k.startswith("_")}
+    return Outcomes(
+        name=job.name,
+        experiment=run["experiment"],
+        strategy=run["strategy"],
+        parameters=parameters,
+        config=config,
+        cap=config["max_iterations"],
+        threshold=config["score_threshold"],
+        window=config["score_window"],
+        provenance={k: run[k] for k in ("versions", "seed", "collector", "seconds", "machine")},
+        status=np.asarray(frame["status"], dtype=np.str_),
+        **{
+            name: frame[name].to_numpy(dtype=dtype)
+            for name, dtype in zip(TRIAL_COLUMNS[:7], "qqq?dqd", strict=True)
+        },
+    )
+
+
+def find_jobs(folder: Path) -> list[Path]:
+    """The folders of all finished jobs at or below ``folder``, in order of their names."""
+    return sorted(path.parent for path in folder.rglob(RUN))
+
+
+def read_jobs(folders: Iterable[Path]) -> list[Outcomes]:
+    """The outcomes of every finished job in any set of job and sweep folders."""
+    jobs = dict.fromkeys(job for folder in folders for job in find_jobs(Path(folder)))
+    return [read_job(job) for job in jobs]
+
+
+def read_frame(folders: Iterable[Path]) -> pd.DataFrame:
+    """The trials of every finished job as one data frame.
+
+    The columns of ``trials.csv``, and before them ``experiment``, ``job``, ``strategy`` and one
+    column for each parameter of a strategy.
+    """
+    import pandas as pd
+
+    frames = []
+    for job in dict.fromkeys(job for folder in folders for job in find_jobs(Path(folder))):
+        outcomes, frame = read_job(job), read_trials(job)
+        labels = {
+            "experiment": outcomes.experiment,
+            "job": outcomes.name,
+            "strategy": outcomes.strategy,
+            **{f"strategy.{key}": value for key, value in outcomes.parameters.items()},
+        }
+        for place, (name, value) in enumerate(labels.items()):
+            frame.insert(place, name, [value] * len(frame))
+        frames.append(frame)
+    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()

@@ -1,0 +1,147 @@
+"""The shared part of every strategy: draw an action from μ and write its log-probability."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.data import Categorical, Composite, OneHot, TensorSpec
+from torchrl.envs.utils import ExplorationType, exploration_type
+
+
+class Strategy(TensorDictModuleBase):
+    """A behaviour distribution μ(·|s) over n actions, made from the logits of a target policy.
+
+    A subclass states ``probs(logits)``; everything else is here. The action is drawn by inverse
+    CDF from one uniform number u in [0, 1) per frame:
+
+        a = min{k : Σ_{j ≤ k} μ(j|s) > u}
+
+    Under ``ExplorationType.RANDOM``, or none set, the strategy explores. Under MODE, MEAN or
+    DETERMINISTIC it takes the first action of largest logit, with log-probability 0.
+
+    Reads "logits" [*batch, n_actions]; if present "action_mask" [*batch, n_actions] (bool, False
+    forbids: the mask applies to μ), "noise" [*batch] (the u above), and "trial" [*batch].
+    Writes "action" ([*batch] int64, or one-hot [*batch, n_actions] under a ``OneHot`` spec) and
+    "action_log_prob" [*batch] (nats, under μ).
+
+    Nothing here knows of trials, CartPole or REINFORCE: behind any TorchRL module that writes
+    logits or action values, the module serves any TorchRL project (``logits_key="action_value"``).
+
+    Args:
+        spec: the action spec (``Categorical`` or ``OneHot``, also in a ``Composite``); None means
+            that actions are indices.
+        logits_key: the entry with the preferences.
+        action_key: the entry to write the action to.
+        action_mask_key: the entry with the mask.
+        seed: seed of the module's own generator, used where no "noise" entry is given.
+
+    Raises:
+        ValueError: if the spec is not of a kind served, or a mask forbids every action.
+    """
+
+    iteration: Tensor
+
+    def __init__(
+        self,
+        *,
+        spec: TensorSpec | None = None,
+        logits_key: NestedKey = "logits",
+        action_key: NestedKey = "action",
+        action_mask_key: NestedKey = "action_mask",
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        if isinstance(spec, Composite):
+            spec = spec[action_key]
+        if spec is not None and not isinstance(spec, Categorical | OneHot):
+            raise ValueError(
+                f"a strategy serves Categorical and OneHot action specs, got {type(spec).__name__}"
+            )
+        self.spec = spec
+        self.logits_key, self.action_key = logits_key, action_key
+        self.action_mask_key = action_mask_key
+        self.in_keys = [logits_key]
+        self.out_keys = [action_key, "action_log_prob"]
+        self.register_buffer("iteration", torch.zeros((), dtype=torch.int64))
+        self._generator = torch.Generator().manual_seed(seed)
+
+    @abstractmethod
+    def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
+        """μ(·|s) [*batch, n_actions] in the current iteration; an action of logit −∞ gets 0.
+
+        Args:
+            logits: [*batch, n_actions].
+            trial: [*batch] int64, needed only where parameters differ between trials.
+        """
+
+    def check_trials(self, trials: int) -> None:
+        """Raise ValueError if a parameter has one value per trial, but not for ``trials`` trials."""
+
+    def step(self) -> None:
+        """Advance the schedules by one iteration (once per update, whatever the batch)."""
+        self.iteration += 1
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Draw "action" from μ and write "action_log_prob"."""
+        logits = tensordict.get(self.logits_key)
+        mask = tensordict.get(self.action_mask_key, None)
+        if mask is not None:
+            if not mask.any(-1).all():
+                raise ValueError("the action mask forbids every action of a state")
+            logits = logits.masked_fill(~mask, -torch.inf)
+        if exploration_type() in (ExplorationType.RANDOM, None):
+            probs = self.probs(logits, tensordict.get("trial", None))
+            action = inverse_cdf(probs, self._noise(tensordict, logits))
+            log_prob = probs.gather(-1, action.unsqueeze(-1)).squeeze(-1).log()
+        else:
+            action = logits.argmax(-1)
+            log_prob = torch.zeros_like(logits[..., 0])
+        tensordict.set(self.action_key, self._encode(action, logits.shape[-1]))
+        tensordict.set("action_log_prob", log_prob)
+        return tensordict
+
+    def _noise(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
+        noise = tensordict.get("noise", None)
+        if noise is None:
+            shape = logits.shape[:-1]
+            noise = torch.rand(shape, generator=self._generator, dtype=torch.float64)
+        return noise.to(logits.device)
+
+    def _encode(self, action: Tensor, n_actions: int) -> Tensor:
+        if self.spec is None:
+            return action
+        if isinstance(self.spec, OneHot):
+            action = torch.nn.functional.one_hot(action, n_actions)
+        return action.to(self.spec.dtype)
+
+    def get_extra_state(self) -> dict[str, Tensor]:
+        """The state of the module's own generator."""
+        return {"generator": self._generator.get_state()}
+
+    def set_extra_state(self, state: dict[str, Tensor]) -> None:
+        """Restore the state of the module's own generator."""
+        self._generator.set_state(state["generator"])
+
+
+def inverse_cdf(probs: Tensor, noise: Tensor) -> Tensor:
+    """The action a = min{k : Σ_{j ≤ k} p_j > u · Σ_j p_j} [*batch] of u = ``noise`` [*batch].
+
+    Sums are in float64. Rounding never selects an action of probability 0: u is scaled by the
+    sum as computed, and kept below it.
+
+    Args:
+        probs: [*batch, n_actions], non-negative.
+        noise: [*batch], uniform in [0, 1).
+
+    Example:
+        >>> inverse_cdf(torch.tensor([0.25, 0.0, 0.75]), torch.tensor(0.25))
+        tensor(2)
+    """
+    cdf = probs.double().cumsum(-1)
+    total = cdf[..., -1]
+    point = torch.minimum(noise * total, torch.nextafter(total, torch.zeros_like(total)))
+    return (cdf[..., :-1] <= point.unsqueeze(-1)).sum(-1)

@@ -1,0 +1,89 @@
+"""The family that holds the thesis's five strategies: a mixture of three corners."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from trl_explore.schedules import Value
+from trl_explore.strategies.base import Strategy
+
+
+class Mixture(NamedTuple):
+    """The point of the family in one iteration; each entry one number, or one per trial [trials].
+
+    The weights are non-negative and sum to 1; the temperature is >= 0, and 0 is the limit.
+    """
+
+    greedy: Value = 0.0
+    softmax: Value = 0.0
+    uniform: Value = 0.0
+    temperature: Value = 1.0
+
+
+class MixtureStrategy(Strategy):
+    """A mixture of argmax, softmax and uniform.
+
+    μ(a|s) = w_greedy · 1[a ∈ A*] / |A*| + w_softmax · softmax(logits / T)_a + w_uniform / n
+
+    with A* the actions of largest logit (ties share) and n the number of actions that the mask
+    allows. A subclass states the weights and T for the current iteration in ``mixture``; that is
+    all that a collector needs that compiles the strategy.
+    """
+
+    @abstractmethod
+    def mixture(self) -> Mixture:
+        """Weights and temperature in the current iteration."""
+
+    def check_trials(self, trials: int) -> None:
+        """Raise ValueError if a parameter has one value per trial, but not for ``trials`` trials."""
+        for value in self.mixture():
+            if isinstance(value, np.ndarray) and value.shape != (trials,):
+                raise ValueError(
+                    f"a parameter with one value per trial has {value.size}; there are {trials} trials"
+                )
+
+    def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
+        """μ(·|s) [*batch, n_actions] in the current iteration."""
+        mixture = Mixture(*(_rows(value, trial, logits) for value in self.mixture()))
+        return mixture_probs(logits, mixture)
+
+
+def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
+    """The probabilities [*batch, n_actions] of a mixture; its entries broadcast to ``logits``.
+
+    Example:
+        >>> mixture_probs(torch.tensor([0.0, 4.0, -1.0, 4.0]), Mixture(greedy=0.8, uniform=0.2))
+        tensor([0.0500, 0.4500, 0.0500, 0.4500])
+    """
+    probs = torch.zeros_like(logits)
+    largest = logits.amax(-1, keepdim=True)
+    if _any(mixture.greedy):
+        best = (logits == largest).to(logits.dtype)
+        probs = probs + mixture.greedy * (best / best.sum(-1, keepdim=True))
+    if _any(mixture.softmax):
+        # Subtracting first keeps the quotient from overflowing as T → 0.
+        tiny = torch.finfo(logits.dtype).tiny
+        temperature = torch.as_tensor(mixture.temperature, dtype=logits.dtype).clamp(min=tiny)
+        probs = probs + mixture.softmax * torch.softmax((logits - largest) / temperature, -1)
+    if _any(mixture.uniform):
+        legal = (logits != -torch.inf).to(logits.dtype)
+        probs = probs + mixture.uniform * (legal / legal.sum(-1, keepdim=True))
+    return probs
+
+
+def _any(weight: Value | Tensor) -> bool:
+    return bool((weight != 0).any()) if isinstance(weight, Tensor) else weight != 0
+
+
+def _rows(value: Value, trial: Tensor | None, logits: Tensor) -> float | Tensor:
+    """One number, or the trials' own numbers as a column [*batch, 1]."""
+    if not isinstance(value, np.ndarray):
+        return value
+    if trial is None:
+        raise ValueError("the parameters differ between trials: the data need a 'trial' entry")
+    return torch.as_tensor(value, dtype=logits.dtype, device=logits.device)[trial].unsqueeze(-1)

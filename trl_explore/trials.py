@@ -1,0 +1,119 @@
+"""What is known of every trial while it runs: scores, stopping rule, status."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trl_explore.checks import check_integer, check_number
+
+ACTIVE, CONVERGED, CAPPED, DIVERGED = "active", "converged", "capped", "diverged"
+
+
+class Trials:
+    """The record of n independent trials, and the rule by which each stops.
+
+    A trial has converged when the mean score of its last ``score_window`` episodes is greater
+    than ``score_threshold``, over a full window; it is capped (right-censored) after
+    ``max_iterations``; it has diverged when its loss or a weight is no longer finite.
+
+    Args:
+        trials: n >= 1.
+        max_iterations: the cap, >= 1.
+        score_threshold: the final score to exceed.
+        score_window: number of episodes the final score averages over, >= 1.
+
+    Raises:
+        ValueError: if an argument is out of range.
+    """
+
+    def __init__(
+        self,
+        trials: int,
+        *,
+        max_iterations: int = 1000,
+        score_threshold: float = 195.0,
+        score_window: int = 100,
+    ) -> None:
+        n = check_integer("trials", trials, 1)
+        self.max_iterations = check_integer("max_iterations", max_iterations, 1)
+        self.score_threshold = check_number("score_threshold", score_threshold)
+        self.score_window = check_integer("score_window", score_window, 1)
+        self.status = np.full(n, ACTIVE, dtype="<U9")
+        self.active = np.ones(n, dtype=np.bool_)
+        self.iterations = np.zeros(n, dtype=np.int64)
+        self.frames = np.zeros(n, dtype=np.int64)
+        self.seconds = np.zeros(n)
+        self.score = np.zeros(n)
+        """The mean score over the last ``score_window`` episodes, or over all while fewer [n]."""
+        self._window = np.zeros((n, self.score_window))
+        self._episodes: list[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]] = []
+        self._curves: list[tuple[float, float, int, int]] = []
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    @property
+    def iteration(self) -> int:
+        """The number of iterations that the batch of trials has done."""
+        return len(self._episodes)
+
+    def record(
+        self,
+        scores: NDArray[np.float64],
+        frames: NDArray[np.int64],
+        diverged: NDArray[np.bool_],
+        seconds: float,
+    ) -> None:
+        """Enter one iteration and stop the trials whose time has come.
+
+        Args:
+            scores: undiscounted return of the episode of every active trial, ascending [active].
+            frames: its number of frames [active].
+            diverged: whether the trial has left the finite numbers [active].
+            seconds: wall time since the batch began.
+        """
+        trial = np.flatnonzero(self.active)
+        self._episodes.append((trial, scores, frames))
+        self._window[trial, (self.iteration - 1) % self.score_window] = scores
+        filled = min(self.iteration, self.score_window)
+        self.score[trial] = self._window[trial, :filled].mean(axis=1)
+        self.iterations[trial] += 1
+        self.frames[trial] += frames
+        self.seconds[trial] = seconds
+
+        full = self.iteration >= self.score_window
+        passed = (self.score[trial] > self.score_threshold) & full & ~diverged
+        self.status[trial[passed]] = CONVERGED
+        self.status[trial[diverged]] = DIVERGED
+        if self.iteration >= self.max_iterations:
+            self.status[self.status == ACTIVE] = CAPPED
+        self.active = self.status == ACTIVE
+        self._record_curves(trial, scores)
+
+    def _record_curves(self, trial: NDArray[np.int64], scores: NDArray[np.float64]) -> None:
+        episode_score = self.score.copy()  # a stopped trial carries its final score forward
+        episode_score[trial] = scores
+        converged = int((self.status == CONVERGED).sum())
+        self._curves.append(
+            (episode_score.mean(), self.score.mean(), int(self.active.sum()), converged)
+        )
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """Whether the trial has converged [n]."""
+        return self.status == CONVERGED
+
+    def curves(self) -> dict[str, NDArray[np.float64]]:
+        """Averages over all trials after every iteration, each [iterations]."""
+        names = ("episode_score", "score", "active", "converged")
+        return dict(zip(names, np.array(self._curves, dtype=np.float64).T, strict=True))
+
+    def episodes(self) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
+        """One row for each episode, by iteration and then trial: trial, iteration, score, frames."""
+        trial, score, frames = (
+            np.concatenate(column) for column in zip(*self._episodes, strict=True)
+        )
+        sizes = [len(entry[0]) for entry in self._episodes]
+        iteration = np.repeat(np.arange(1, len(sizes) + 1), sizes)
+        return {"trial": trial, "iteration": iteration, "score": score, "frames": frames}
