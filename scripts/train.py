@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 import time
@@ -82,6 +83,8 @@ def train(config: DictConfig, folder: Path) -> None:
 def main() -> int:
     """Run Hydra; anything that the user did wrong is one line on stderr, and status 1."""
     show_traceback = bool(os.environ.get("HYDRA_FULL_ERROR"))
+    logging.basicConfig(format="%(message)s", stream=sys.stderr)
+    logging.getLogger("trl_explore").setLevel(logging.INFO)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # hand errors over instead of printing tracebacks
     configuration.register_resolvers()
     try:

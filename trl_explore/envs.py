@@ -53,6 +53,8 @@ def make_gym(id: str, max_steps: int | None, kwargs: Mapping[str, Any]) -> gym.E
         raise ValueError(
             f"environment {id!r} has observation space {space}; Box or Discrete is needed"
         )
+    if env.observation_space.dtype != np.float32:
+        env = gym.wrappers.DtypeObservation(env, np.float32)
     return env
 
 

@@ -105,7 +105,7 @@ class SoftmaxCategorical(TorchCategorical):
 
     @cached_property
     def logits(self) -> Tensor:
-        """log π(·|s) [*batch, n_actions]."""
+        """Log π(·|s) [*batch, n_actions]."""
         return self._unnormalised.log_softmax(-1)
 
     @cached_property
@@ -119,7 +119,7 @@ class SoftmaxCategorical(TorchCategorical):
         return self._unnormalised.shape
 
     def log_prob(self, value: Tensor) -> Tensor:
-        """log π(value|s) [*batch]."""
+        """Log π(value|s) [*batch]."""
         return categorical_log_prob(self._unnormalised, value)
 
 

@@ -180,7 +180,7 @@ def read_run(job: Path) -> dict[str, Any]:
     """
     try:
         run = json.loads((job / RUN).read_text(encoding="utf-8"))
-        run["config"], run["strategy"], run["experiment"], run["trials"]  # noqa: B018
+        run["config"], run["strategy"], run["experiment"], run["trials"]
     except FileNotFoundError:
         raise ResultsError(f"{job}: no finished job ({RUN} is missing)") from None
     except (OSError, ValueError, KeyError, TypeError) as error:

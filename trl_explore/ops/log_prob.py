@@ -12,7 +12,7 @@ from torch.autograd.function import once_differentiable
 
 
 def categorical_log_prob(logits: Tensor, action: Tensor) -> Tensor:
-    """log softmax(logits)_action, with gradient 1[k = action] − softmax(logits)_k.
+    """Log softmax(logits)_action, with gradient 1[k = action] − softmax(logits)_k.
 
     Args:
         logits: [*batch, n_actions]; −∞ marks an action that cannot be taken.

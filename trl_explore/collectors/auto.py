@@ -1,0 +1,37 @@
+"""The fused collector where it serves, the TorchRL collector elsewhere."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+from tensordict.nn import TensorDictSequential
+from torchrl.envs import TransformedEnv
+
+from trl_explore.collectors.base import EpisodeCollector
+from trl_explore.collectors.fused import FusedCollector, NotCompilable
+from trl_explore.collectors.torchrl import TorchRLCollector
+
+logger = logging.getLogger(__name__)
+
+
+def auto_collector(
+    env: TransformedEnv, policy: TensorDictSequential, *, threads: int = 1, **options: Any
+) -> EpisodeCollector:
+    """The fastest collector that can serve; one log line says which, and why not the fused one.
+
+    Args:
+        env: an environment of ``envs.make_env``.
+        policy: ``TensorDictSequential(policy, strategy)``.
+
+    Keyword Args:
+        threads: threads of the fused collector.
+        options: the arguments of ``EpisodeCollector``.
+    """
+    try:
+        collector = FusedCollector(env, policy, threads=threads, **options)
+        logger.info("collector: fused")
+    except NotCompilable as error:
+        collector = TorchRLCollector(env, policy, **options)
+        logger.info("collector: torchrl (the fused one cannot serve: %s)", error)
+    return collector

@@ -1,0 +1,74 @@
+"""CartPole (Barto, Sutton & Anderson 1983), as gymnasium writes it, operation by operation."""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+from gymnasium.envs.classic_control.cartpole import CartPoleEnv
+
+from trl_explore.kernels.base import Kernel, register_kernel
+from trl_explore.kernels.philox import random
+
+
+@nb.njit(cache=True)
+def reset(parameters, state, rng):
+    """x, ẋ, θ, θ̇ ~ U(−0.05, 0.05)."""
+    for i in range(4):
+        state[i] = -0.05 + (0.05 - -0.05) * random(rng)
+
+
+@nb.njit(cache=True)
+def step(parameters, state, action, rng):
+    """One step of ``tau`` seconds under a force of ±``force_mag``; the order of the sums matters."""
+    (gravity, masspole, total_mass, length, polemass_length, force_mag, tau,
+     x_threshold, theta_threshold, euler, alive, fallen) = parameters  # fmt: skip
+    x, x_dot, theta, theta_dot = state[0], state[1], state[2], state[3]
+    force = force_mag if action == 1 else -force_mag
+    cos, sin = math.cos(theta), math.sin(theta)
+    temp = (force + polemass_length * (theta_dot * theta_dot) * sin) / total_mass
+    theta_acc = (gravity * sin - cos * temp) / (
+        length * (4.0 / 3.0 - masspole * (cos * cos) / total_mass)
+    )
+    x_acc = temp - polemass_length * theta_acc * cos / total_mass
+    if euler:
+        x = x + tau * x_dot
+        x_dot = x_dot + tau * x_acc
+        theta = theta + tau * theta_dot
+        theta_dot = theta_dot + tau * theta_acc
+    else:
+        x_dot = x_dot + tau * x_acc
+        x = x + tau * x_dot
+        theta_dot = theta_dot + tau * theta_acc
+        theta = theta + tau * theta_dot
+    state[0], state[1], state[2], state[3] = x, x_dot, theta, theta_dot
+    terminated = abs(x) > x_threshold or abs(theta) > theta_threshold
+    return (fallen if terminated else alive), terminated
+
+
+@nb.njit(cache=True)
+def observe(parameters, state, observation):
+    """The state itself."""
+    for i in range(4):
+        observation[i] = state[i]
+
+
+@register_kernel(CartPoleEnv)
+def cartpole(env: CartPoleEnv) -> Kernel:
+    """The kernel of a CartPole environment, with the constants of this instance."""
+    sutton_barto = env._sutton_barto_reward
+    parameters = (
+        float(env.gravity),
+        float(env.masspole),
+        float(env.total_mass),
+        float(env.length),
+        float(env.polemass_length),
+        float(env.force_mag),
+        float(env.tau),
+        float(env.x_threshold),
+        float(env.theta_threshold_radians),
+        env.kinematics_integrator == "euler",
+        0.0 if sutton_barto else 1.0,
+        -1.0 if sutton_barto else 1.0,
+    )
+    return Kernel(reset, step, observe, parameters, state_size=4, n_features=4, n_actions=2)
