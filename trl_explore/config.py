@@ -221,7 +221,7 @@ def build_trainer(config: DictConfig) -> Trainer:
     from tensordict.nn import TensorDictSequential
 
     from trl_explore.optim import LaneOptimizer
-    from trl_explore.policy import softmax_actor
+    from trl_explore.actor import SoftmaxActor
     from trl_explore.trainer import Trainer
     from trl_explore.trials import Trials
 
@@ -243,7 +243,7 @@ def build_trainer(config: DictConfig) -> Trainer:
     optimizer = _build(
         "optimizer", lambda: LaneOptimizer(_instantiate(config, "optimizer"), policy.parameters())
     )
-    loss = _instantiate(config, "loss")(softmax_actor(policy), trials=config.trials)
+    loss = _instantiate(config, "loss")(SoftmaxActor(policy), trials=config.trials)
     collector = _instantiate(config, "collector")(env, TensorDictSequential(policy, strategy))
     return _build("loss", lambda: Trainer(collector, loss, optimizer, trials))
 

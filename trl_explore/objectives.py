@@ -11,6 +11,7 @@ from tensordict.nn import ProbabilisticTensorDictSequential, dispatch
 from torch import Tensor
 from torchrl.objectives.common import LossModule
 
+from trl_explore.actor import score_sum
 from trl_explore.checks import check_integer, check_number
 from trl_explore.ops import return_to_go
 
@@ -142,44 +143,47 @@ class ReinforceLoss(LossModule):
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The losses of a batch of episodes."""
-        mask = self._mask(tensordict)
         advantage = self.advantage(tensordict)
         trial, trials = self._trial(tensordict, advantage)
+        mask = self._mask(tensordict)
         if mask is not None:
             tensordict, advantage, trial = tensordict[mask], advantage[mask], trial[mask]
-        terms = self._log_prob(tensordict).reshape(-1) * advantage.reshape(-1)
-        sums = terms.new_zeros(trials).index_add(0, trial.reshape(-1), terms)
-        trial_loss = sums * -self.weight
+        tensordict = tensordict if advantage.ndim == 1 else tensordict.reshape(-1)
+        action = tensordict.get(self.tensor_keys.action)
+        with self._with_parameters():
+            score = score_sum(
+                self.actor_network,
+                tensordict,
+                action,
+                advantage.reshape(-1),
+                trial.reshape(-1),
+                trials,
+            )
+        trial_loss = score * -self.weight
         return TensorDict._new_unsafe(
-            {"loss_actor": self._reduce(trial_loss), "trial_loss": trial_loss.detach()}
+            {"loss_actor": self._reduce(trial_loss), "trial_loss": trial_loss.detach()},
+            batch_size=torch.Size([]),
         )
 
     @torch.no_grad()
     def advantage(self, tensordict: TensorDictBase) -> Tensor:
         """G_t − b for every frame, in the shape of the data [*batch]."""
-        reward = tensordict.get(("next", self.tensor_keys.reward)).squeeze(-1)
-        done = tensordict.get(("next", self.tensor_keys.done)).squeeze(-1)
-        trial = tensordict.get(self.tensor_keys.trial, None)
-        if trial is not None and reward.ndim == 1:
-            # A trial's frames may break off before done; the next trial's are not their future.
-            done = done.clone()
-            done[:-1] |= trial[1:] != trial[:-1]
+        after = tensordict.get("next")
+        reward = after.get(self.tensor_keys.reward).squeeze(-1)
+        done = after.get(self.tensor_keys.done).squeeze(-1)
+        # In flat data a trial may break off before done; the next trial is not its future.
+        trial = tensordict.get(self.tensor_keys.trial, None) if reward.ndim == 1 else None
         mask = self._mask(tensordict)
         if mask is not None:
             reward = torch.where(mask, reward, 0.0)
             done = done | ~mask
-        returns = return_to_go(reward, done, self.gamma)
+        returns = return_to_go(reward, done, self.gamma, trial)
         return returns - self.baseline if self.baseline else returns
 
-    def _log_prob(self, tensordict: TensorDictBase) -> Tensor:
-        parameters = (
-            self.actor_network_params.to_module(self.actor_network)
-            if self.functional
-            else contextlib.nullcontext()
-        )
-        with parameters:
-            distribution = self.actor_network.get_dist(tensordict)
-        return distribution.log_prob(tensordict.get(self.tensor_keys.action))
+    def _with_parameters(self) -> contextlib.AbstractContextManager[object]:
+        if self.functional:
+            return self.actor_network_params.to_module(self.actor_network)
+        return contextlib.nullcontext()
 
     def _trial(self, tensordict: TensorDictBase, advantage: Tensor) -> tuple[Tensor, int]:
         """The trial of every frame [*batch], and the number of trials."""
@@ -195,9 +199,11 @@ class ReinforceLoss(LossModule):
     def _mask(self, tensordict: TensorDictBase) -> Tensor | None:
         """Which frames are valid [*batch], where TorchRL has marked them (``loss_mask_key``)."""
         masks = [tensordict.get(key, None) for key in self._loss_mask_keys()]
+        found = [mask for mask in masks if mask is not None]
+        if not found:
+            return None
         shape = tensordict.get(("next", self.tensor_keys.done)).shape[:-1]
-        found = [mask.reshape(shape) for mask in masks if mask is not None]
-        return torch.stack(found).all(0) if found else None
+        return torch.stack([mask.reshape(shape) for mask in found]).all(0)
 
     def _reduce(self, trial_loss: Tensor) -> Tensor:
         if self.reduction == "sum":

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import numpy as np
 import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
-from torch.distributions import Categorical as TorchCategorical
-from torch.distributions import Distribution
 from torchrl.data import Categorical
 from torchrl.envs import EnvBase
-from torchrl.modules import ProbabilisticActor
 
-from trl_explore.ops import categorical_log_prob, lane_linear
+from trl_explore.ops import lane_linear
 from trl_explore.streams import Stream, generator
 
 
@@ -88,50 +84,3 @@ def n_actions(env: EnvBase) -> int:
             f"a softmax policy needs a Categorical action spec, got {type(spec).__name__}"
         )
     return spec.n
-
-
-class SoftmaxCategorical(TorchCategorical):
-    """π = softmax(logits) over actions; like torch's Categorical, and cheaper for log π(a|s).
-
-    Args:
-        logits: [*batch, n_actions], not necessarily normalised.
-        mask: [*batch, n_actions] bool, False where an action is not allowed (probability 0).
-    """
-
-    def __init__(self, logits: Tensor, mask: Tensor | None = None) -> None:
-        self._unnormalised = logits if mask is None else logits.masked_fill(~mask, -torch.inf)
-        self._num_events = logits.shape[-1]
-        Distribution.__init__(self, batch_shape=logits.shape[:-1], validate_args=False)
-
-    @cached_property
-    def logits(self) -> Tensor:
-        """Log π(·|s) [*batch, n_actions]."""
-        return self._unnormalised.log_softmax(-1)
-
-    @cached_property
-    def probs(self) -> Tensor:
-        """π(·|s) [*batch, n_actions]."""
-        return self._unnormalised.softmax(-1)
-
-    @property
-    def param_shape(self) -> torch.Size:
-        """The shape of the logits."""
-        return self._unnormalised.shape
-
-    def log_prob(self, value: Tensor) -> Tensor:
-        """Log π(value|s) [*batch]."""
-        return categorical_log_prob(self._unnormalised, value)
-
-
-def softmax_actor(policy: TensorDictModule, *, masked: bool = False) -> ProbabilisticActor:
-    """The target policy π = softmax(logits) over a module that writes "logits".
-
-    It shares its parameters with ``policy`` and serves the loss (``get_dist``); the behaviour in
-    the environment is the policy followed by a strategy.
-
-    Args:
-        policy: a module that writes "logits".
-        masked: whether the data have an "action_mask" [*batch, n_actions] that π obeys too.
-    """
-    keys = {"logits": "logits", **({"mask": "action_mask"} if masked else {})}
-    return ProbabilisticActor(policy, in_keys=keys, distribution_class=SoftmaxCategorical)

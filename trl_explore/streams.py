@@ -18,16 +18,17 @@ class Stream(IntEnum):
 
 
 @lru_cache(maxsize=256)
-def _key_words(seed: int, stream: Stream) -> tuple[int, int]:
+def key(seed: int, stream: Stream) -> NDArray[np.uint64]:
+    """The Philox key of a stream of a job: 128 bits from ``SeedSequence([seed, stream])``, [2].
+
+    Raises:
+        ValueError: if the seed is negative.
+    """
     if seed < 0:
         raise ValueError(f"seed must be a non-negative integer, got {seed}")
     words = np.random.SeedSequence([seed, int(stream)]).generate_state(2, np.uint64)
-    return int(words[0]), int(words[1])
-
-
-def key(seed: int, stream: Stream) -> NDArray[np.uint64]:
-    """The Philox key of a stream of a job: 128 bits from ``SeedSequence([seed, stream])``, [2]."""
-    return np.array(_key_words(int(seed), stream), dtype=np.uint64)
+    words.flags.writeable = False
+    return words
 
 
 def generator(seed: int, stream: Stream, trial: int, episode: int = 0) -> np.random.Generator:

@@ -70,22 +70,23 @@ class Trainer:
     def _update(self, data: TensorDictBase, active: NDArray[np.bool_]) -> torch.Tensor:
         self.optimizer.zero_grad()
         losses = self.loss(data)
-        losses["loss_actor"].sum().backward()
+        loss = losses.get("loss_actor")
+        (loss if loss.ndim == 0 else loss.sum()).backward()
         self.optimizer.step(torch.from_numpy(active))
-        return losses["trial_loss"]
+        return losses.get("trial_loss")
 
     def _diverged(self, trial_loss: torch.Tensor, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether an active trial's loss or one of its weights is not finite [active]."""
-        rows = [trial_loss, *(p.detach() for p in self.optimizer.parameters)]
-        if np.isfinite(sum(float(tensor.sum()) for tensor in rows)):
-            return np.zeros(int(active.sum()), dtype=np.bool_)
-        finite = [tensor.reshape(len(tensor), -1).isfinite().all(1) for tensor in rows]
-        return ~torch.stack(finite).all(0).numpy()[active]
+        rows = [trial_loss.numpy(), *(p.detach().numpy() for p in self.optimizer.parameters)]
+        if np.isfinite(sum(float(np.add.reduce(row, axis=None)) for row in rows)):
+            return np.zeros(np.count_nonzero(active), dtype=np.bool_)
+        finite = [np.isfinite(row.reshape(len(row), -1)).all(axis=1) for row in rows]
+        return ~np.logical_and.reduce(finite)[active]
 
 
 def outcomes(data: TensorDictBase) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Score and number of frames of every episode in a collector's data, in their order."""
-    last = data.get(("next", "done")).squeeze(-1)
-    scores = data.get(("next", "episode_reward")).squeeze(-1)[last]
-    frames = data.get(("next", "step_count")).squeeze(-1)[last]
-    return scores.numpy().astype(np.float64), frames.numpy()
+    after = data.get("next")
+    last = np.flatnonzero(after.get("done").numpy())
+    scores = after.get("episode_reward").numpy()[last, 0]
+    return scores.astype(np.float64), after.get("step_count").numpy()[last, 0]

@@ -46,6 +46,8 @@ class Trials:
         self.seconds = np.zeros(n)
         self.score = np.zeros(n)
         """The mean score over the last ``score_window`` episodes, or over all while fewer [n]."""
+        self._episode_score = np.zeros(n)
+        self._n_converged = 0
         self._window = np.zeros((n, self.score_window))
         self._episodes: list[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]] = []
         self._curves: list[tuple[float, float, int, int]] = []
@@ -77,27 +79,38 @@ class Trials:
         self._episodes.append((trial, scores, frames))
         self._window[trial, (self.iteration - 1) % self.score_window] = scores
         filled = min(self.iteration, self.score_window)
-        self.score[trial] = self._window[trial, :filled].mean(axis=1)
+        mean = np.add.reduce(self._window[trial, :filled], axis=1) / filled
+        self.score[trial] = mean
+        self._episode_score[trial] = scores
         self.iterations[trial] += 1
         self.frames[trial] += frames
         self.seconds[trial] = seconds
 
         full = self.iteration >= self.score_window
-        passed = (self.score[trial] > self.score_threshold) & full & ~diverged
+        passed = (mean > self.score_threshold) & full & ~diverged
+        if passed.any() or diverged.any() or self.iteration >= self.max_iterations:
+            self._stop(trial, passed, diverged)
+        n = len(self)
+        self._curves.append(
+            (
+                np.add.reduce(self._episode_score) / n,
+                np.add.reduce(self.score) / n,
+                np.count_nonzero(self.active),
+                self._n_converged,
+            )
+        )
+
+    def _stop(
+        self, trial: NDArray[np.int64], passed: NDArray[np.bool_], diverged: NDArray[np.bool_]
+    ) -> None:
         self.status[trial[passed]] = CONVERGED
         self.status[trial[diverged]] = DIVERGED
         if self.iteration >= self.max_iterations:
             self.status[self.status == ACTIVE] = CAPPED
         self.active = self.status == ACTIVE
-        self._record_curves(trial, scores)
-
-    def _record_curves(self, trial: NDArray[np.int64], scores: NDArray[np.float64]) -> None:
-        episode_score = self.score.copy()  # a stopped trial carries its final score forward
-        episode_score[trial] = scores
-        converged = int((self.status == CONVERGED).sum())
-        self._curves.append(
-            (episode_score.mean(), self.score.mean(), int(self.active.sum()), converged)
-        )
+        self._n_converged = int(np.count_nonzero(self.converged))
+        stopped = trial[~self.active[trial]]
+        self._episode_score[stopped] = self.score[stopped]  # carried forward from here on
 
     @property
     def converged(self) -> NDArray[np.bool_]:

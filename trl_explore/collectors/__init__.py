@@ -2,13 +2,13 @@
 
 from trl_explore.collectors.auto import auto_collector
 from trl_explore.collectors.base import EpisodeCollector
-from trl_explore.collectors.fused import FusedCollector, NotCompilable
+from trl_explore.collectors.fused import FusedCollector, NotCompilableError
 from trl_explore.collectors.torchrl import TorchRLCollector
 
 __all__ = [
     "EpisodeCollector",
     "FusedCollector",
-    "NotCompilable",
+    "NotCompilableError",
     "TorchRLCollector",
     "auto_collector",
 ]

@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictSequential
 from torchrl.envs import TransformedEnv
 
 from trl_explore.collectors.base import EpisodeCollector
-from trl_explore.collectors.fused import FusedCollector, NotCompilable
+from trl_explore.collectors.fused import FusedCollector, NotCompilableError
 from trl_explore.collectors.torchrl import TorchRLCollector
 
 logger = logging.getLogger(__name__)
@@ -31,7 +31,7 @@ def auto_collector(
     try:
         collector = FusedCollector(env, policy, threads=threads, **options)
         logger.info("collector: fused")
-    except NotCompilable as error:
+    except NotCompilableError as error:
         collector = TorchRLCollector(env, policy, **options)
         logger.info("collector: torchrl (the fused one cannot serve: %s)", error)
     return collector

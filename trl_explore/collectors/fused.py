@@ -21,7 +21,7 @@ from torchrl.envs import RewardSum, StepCounter, TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
 from trl_explore.collectors.base import EpisodeCollector
-from trl_explore.collectors.loop import compile_loop
+from trl_explore.collectors.loop import compile_loop, scratch
 from trl_explore.kernels import Kernel, kernel_of
 from trl_explore.policy import LinearPolicy
 from trl_explore.strategies import Mixture, MixtureStrategy
@@ -30,8 +30,11 @@ from trl_explore.streams import Stream, key
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
 TRANSFORMS = (StepCounter, RewardSum)
 
+ROOT = ("trial", "observation", "action", "action_log_prob")
+NEXT = ("reward", "done", "terminated", "truncated", "step_count", "episode_reward")
 
-class NotCompilable(ValueError):
+
+class NotCompilableError(ValueError):
     """What the fused collector was given and cannot compile; the message says why."""
 
 
@@ -63,27 +66,16 @@ class Columns:
         for new, old in zip(grown, self.arrays, strict=False):
             new[:used] = old[:used]
         self.capacity, self.arrays = capacity, grown
+        self._root = dict(zip(ROOT, map(torch.from_numpy, grown[:4]), strict=True))
+        after = (torch.from_numpy(array).unsqueeze(-1) for array in grown[4:])
+        self._next = dict(zip(NEXT, after, strict=True))
 
     def frames(self, n: int) -> TensorDict:
         """The first n frames as a TensorDict over the same memory."""
         batch = torch.Size([n])
-        (trial, observation, action, log_prob, reward, done, terminated, truncated, steps,
-         total) = (torch.from_numpy(array[:n]) for array in self.arrays)  # fmt: skip
-        after = {
-            "reward": reward.unsqueeze(-1),
-            "done": done.unsqueeze(-1),
-            "terminated": terminated.unsqueeze(-1),
-            "truncated": truncated.unsqueeze(-1),
-            "step_count": steps.unsqueeze(-1),
-            "episode_reward": total.unsqueeze(-1),
-        }
-        source = {
-            "trial": trial,
-            "observation": observation,
-            "action": action,
-            "action_log_prob": log_prob,
-            "next": TensorDict._new_unsafe(after, batch),
-        }
+        source: dict[str, Any] = {name: column[:n] for name, column in self._root.items()}
+        after = {name: column[:n] for name, column in self._next.items()}
+        source["next"] = TensorDict._new_unsafe(after, batch)
         return TensorDict._new_unsafe(source, batch)
 
 
@@ -98,7 +90,7 @@ class FusedCollector(EpisodeCollector):
         threads: the number of threads among which trials are divided; the data do not depend on it.
 
     Raises:
-        NotCompilable: with the reason, if the environment has no kernel, or a wrapper, transform,
+        NotCompilableError: with the reason, if the environment has no kernel, or a wrapper, transform,
             policy or strategy is not of a kind that the loop knows.
     """
 
@@ -115,7 +107,7 @@ class FusedCollector(EpisodeCollector):
         self.kernel = compilable(env, policy)
         self._loop = compile_loop(self.kernel)
         self._columns = Columns(self.kernel.n_features)
-        self._max_steps = int(self.lanes.max_steps)
+        self._scratch = scratch(self.kernel, int(self.lanes.max_steps))
         self._linear: LinearPolicy = policy[0]
 
     def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
@@ -126,11 +118,11 @@ class FusedCollector(EpisodeCollector):
         mixture = self._mixture()
         keys = key(lanes.seed, Stream.ENVIRONMENT), key(lanes.seed, Stream.ACTION)
         finished = frames = 0
-        columns.reserve(max(len(trials) * 64, 2 * self._max_steps))
+        columns.reserve(len(trials) * 64)
         while True:
             done, frames = self._loop(
                 self.kernel.parameters, trials[finished:], episodes[finished:], lanes.first_trial,
-                *keys, weight, mixture, self._max_steps, columns.arrays, frames, columns.capacity,
+                *keys, weight, mixture, self._scratch, columns.arrays, frames,
             )  # fmt: skip
             finished += done
             if finished == len(trials):
@@ -143,6 +135,8 @@ class FusedCollector(EpisodeCollector):
         assert isinstance(strategy, MixtureStrategy)
         explore = self.exploration_type == ExplorationType.RANDOM
         point = strategy.mixture() if explore else Mixture(greedy=1.0)
+        if all(isinstance(value, float) for value in point):
+            return np.array(point).reshape(4, 1)
         return np.stack(np.broadcast_arrays(*map(np.atleast_1d, point))).astype(np.float64)
 
 
@@ -150,25 +144,25 @@ def compilable(env: TransformedEnv, policy: TensorDictSequential) -> Kernel:
     """The kernel that serves an environment, if the policy and strategy can be compiled too.
 
     Raises:
-        NotCompilable: with the reason.
+        NotCompilableError: with the reason.
     """
     from trl_explore.envs import lane_env
 
     lane = lane_env(env).envs[0]
     while isinstance(lane, gym.Wrapper):
         if type(lane) not in WRAPPERS:
-            raise NotCompilable(f"the wrapper {type(lane).__name__} is not known to it")
+            raise NotCompilableError(f"the wrapper {type(lane).__name__} is not known to it")
         lane = lane.env
     for transform in env.transform:
         if type(transform) not in TRANSFORMS:
-            raise NotCompilable(f"the transform {type(transform).__name__} is not known to it")
+            raise NotCompilableError(f"the transform {type(transform).__name__} is not known to it")
     if type(policy[0]) is not LinearPolicy or len(policy) != 2:
-        raise NotCompilable("the policy is not a LinearPolicy")
+        raise NotCompilableError("the policy is not a LinearPolicy")
     if not isinstance(policy[1], MixtureStrategy):
-        raise NotCompilable(
+        raise NotCompilableError(
             f"{type(policy[1]).__name__} is not a mixture of argmax, softmax and uniform"
         )
     try:
         return kernel_of(lane)
     except LookupError as error:
-        raise NotCompilable(str(error.args[0])) from None
+        raise NotCompilableError(str(error.args[0])) from None

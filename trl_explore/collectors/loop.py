@@ -1,8 +1,11 @@
 """Whole episodes in machine code: environment, linear-softmax policy and mixture strategy in one.
 
-``compile_loop`` builds the loop for one kernel. Each operation is that of the TorchRL collector,
-in the same order and precision: states in float64, observations, logits and probabilities in
-float32, the inverse CDF in float64.
+Each operation is that of the TorchRL collector, in the same order and precision: states in
+float64, observations, logits and probabilities in float32, the inverse CDF in float64.
+
+A step of an environment is a chain of operations that wait for each other. Episodes of several
+trials are therefore stepped side by side, so that the processor always has another one to work on;
+each writes to a scratch of its own, from where whole episodes go to the data, in order of trials.
 """
 
 from __future__ import annotations
@@ -17,9 +20,15 @@ from typing import Any
 import numba as nb
 import numpy as np
 from numba.core.caching import FunctionCache
+from numpy.typing import NDArray
 
 from trl_explore.kernels import Kernel
 from trl_explore.kernels.philox import STATE_SIZE, begin, philox_block, to_unit
+
+GROUP = 16
+"""How many episodes are stepped side by side."""
+SCRATCH_BYTES = 1 << 22
+"""The scratch of a group should stay in the processor's cache."""
 
 _TINY = np.float32(np.finfo(np.float32).tiny)
 _ZERO, _ONE = np.uint64(0), np.uint64(1)
@@ -38,123 +47,156 @@ class _Cache(FunctionCache):
         return sig, codegen.magic_tuple(), self.digest
 
 
+def scratch(kernel: Kernel, max_steps: int) -> tuple[NDArray[Any], ...]:
+    """Memory for a group of episodes: what ``compile_loop`` calls ``scratch``.
+
+    Observation, action, μ(action), reward by episode and step; the number of steps, whether the
+    last one terminated, and state, random stream and four action noises by episode.
+    """
+    per_episode = max_steps * (4 * kernel.n_features + 9)
+    n = max(1, min(GROUP, SCRATCH_BYTES // per_episode))
+    return (
+        np.empty((n, max_steps, kernel.n_features), dtype=np.float32),
+        np.empty((n, max_steps), dtype=np.int8 if kernel.n_actions < 128 else np.int64),
+        np.empty((n, max_steps), dtype=np.float32),
+        np.empty((n, max_steps), dtype=np.float32),
+        np.empty(n, dtype=np.int64),
+        np.empty(n, dtype=np.bool_),
+        np.empty((n, kernel.state_size), dtype=np.float64),
+        np.empty((n, STATE_SIZE), dtype=np.uint64),
+        np.empty((n, 4), dtype=np.float64),
+    )
+
+
 def compile_loop(kernel: Kernel) -> Callable[..., tuple[int, int]]:
     """The episode loop around a kernel; compiled when first called, or loaded from disk.
 
     The function returned has the signature
 
         loop(parameters, trials, episodes, first_trial, env_key, action_key, weight, mixture,
-             max_steps, columns, start, capacity) -> (trials done, end)
+             scratch, columns, start) -> (trials done, end)
 
-    with trials and episodes [m] int64 (rows of ``weight`` and numbers of their episodes), weight
-    [*, n_actions, n_features] float32, mixture [4, 1 or *] float64 (greedy, softmax, uniform,
-    temperature), and columns the arrays of ``fused.Columns``, which it fills from frame ``start``
-    on. It stops before a trial whose episode might not fit below ``capacity``.
+    with trials and episodes [m] int64 (rows of ``weight`` and the numbers of their episodes),
+    weight [*, n_actions, n_features] float32, mixture [4, 1 or *] float64 (greedy, softmax,
+    uniform, temperature), and columns the arrays of ``fused.Columns``, which it fills from frame
+    ``start`` on. It stops before a group of trials whose episodes do not fit.
     """
     functions = (kernel.reset, kernel.step, kernel.observe)
-    return _compile(*functions, kernel.n_actions, kernel.state_size, kernel.digest)
+    return _compile(*functions, kernel.n_actions, kernel.n_features, kernel.digest)
 
 
 @lru_cache(maxsize=32)
 def _compile(
-    reset: Any, step: Any, observe: Any, n_actions: int, state_size: int, digest: str
+    reset: Any, step: Any, observe: Any, n_actions: int, n_features: int, digest: str
 ) -> Callable[..., tuple[int, int]]:
     def loop(
         parameters, trials, episodes, first_trial, env_key, action_key, weight, mixture,
-        max_steps, columns, start, capacity,
+        scratch, columns, start,
     ):  # fmt: skip
-        (trial, observation, action, action_log_prob, reward, done, terminated, truncated,
-         step_count, episode_reward) = columns  # fmt: skip
-        n_features = weight.shape[2]
+        observation, action, chance, reward, steps, terminated, state, rng, noise = scratch
+        max_steps = action.shape[1]
+        size = len(steps)
+        running = np.empty(size, dtype=np.int64)
         probs = np.empty(n_actions, dtype=np.float32)
-        noise = np.empty(4, dtype=np.float64)
-        state = np.empty(state_size, dtype=np.float64)
-        rng = np.empty(STATE_SIZE, dtype=np.uint64)
+        work = np.empty(n_actions, dtype=np.float32)
         per_trial = mixture.shape[1] > 1
-        i = start
-        for m in range(len(trials)):
-            if i + max_steps > capacity:
-                return m, i
-            row = trials[m]
-            w = weight[row]
-            column = row if per_trial else 0
-            greedy, soft = np.float32(mixture[0, column]), np.float32(mixture[1, column])
-            uniform = np.float32(mixture[2, column])
-            temperature = max(np.float32(mixture[3, column]), _TINY)
-            word = np.uint64(first_trial + row)
-            episode = np.uint64(episodes[m])
-            begin(rng, env_key, episode, word)
-            reset(parameters, state, rng)
-            total_reward = np.float32(0)
-            for t in range(max_steps):
-                x = observation[i]
-                observe(parameters, state, x)
-                for a in range(n_actions):
-                    logit = w[a, 0] * x[0]
-                    for k in range(1, n_features):
-                        logit += w[a, k] * x[k]
-                    probs[a] = logit
-                _mix(probs, greedy, soft, uniform, temperature)
-                place = t & 3
-                if place == 0:
-                    block = np.uint64(t >> 2) + _ONE
-                    b0, b1, b2, b3 = philox_block(
-                        action_key[0], action_key[1], block, _ZERO, episode, word
-                    )
-                    noise[0], noise[1] = to_unit(b0), to_unit(b1)
-                    noise[2], noise[3] = to_unit(b2), to_unit(b3)
-                chosen = _draw(probs, noise[place])
-                r, end = step(parameters, state, chosen, rng)
-                total_reward += np.float32(r)
-                last = t + 1 == max_steps
-                trial[i] = row
-                action[i] = chosen
-                action_log_prob[i] = math.log(probs[chosen])
-                reward[i] = r
-                terminated[i] = end
-                truncated[i] = last
-                done[i] = end or last
-                step_count[i] = t + 1
-                episode_reward[i] = total_reward
-                i += 1
-                if end:
-                    break
-        return len(trials), i
+        end = start
+        for first in range(0, len(trials), size):
+            group = trials[first : first + size]
+            n_running = len(group)
+            for j in range(n_running):
+                running[j] = j
+                word = np.uint64(first_trial + group[j])
+                begin(rng[j], env_key, np.uint64(episodes[first + j]), word)
+                reset(parameters, state[j], rng[j])
+                terminated[j] = False
+            t = 0
+            while n_running > 0:
+                if t & 3 == 0:
+                    for r in range(n_running):
+                        j = running[r]
+                        episode = np.uint64(episodes[first + j])
+                        word = np.uint64(first_trial + group[j])
+                        b0, b1, b2, b3 = philox_block(
+                            action_key[0], action_key[1], np.uint64(t >> 2) + _ONE, _ZERO,
+                            episode, word,
+                        )  # fmt: skip
+                        noise[j, 0], noise[j, 1] = to_unit(b0), to_unit(b1)
+                        noise[j, 2], noise[j, 3] = to_unit(b2), to_unit(b3)
+                for r in range(n_running):
+                    j = running[r]
+                    row = group[j]
+                    x = observation[j, t]
+                    observe(parameters, state[j], x)
+                    for a in range(n_actions):
+                        logit = weight[row, a, 0] * x[0]
+                        for k in range(1, n_features):
+                            logit += weight[row, a, k] * x[k]
+                        probs[a] = logit
+                    _mix(probs, work, mixture, row if per_trial else 0)
+                    chosen = _draw(probs, noise[j, t & 3])
+                    action[j, t] = chosen
+                    chance[j, t] = probs[chosen]
+                left = 0
+                for r in range(n_running):
+                    j = running[r]
+                    reward[j, t], terminal = step(parameters, state[j], action[j, t], rng[j])
+                    terminated[j] = terminal
+                    steps[j] = t + 1
+                    if not terminal and t + 1 < max_steps:
+                        running[left] = j
+                        left += 1
+                n_running = left
+                t += 1
+            total = 0
+            for j in range(len(group)):
+                total += steps[j]
+            if end + total > len(columns[0]):
+                return first, end
+            for j in range(len(group)):
+                _deliver(scratch, columns, j, group[j], end)
+                end += steps[j]
+        return len(trials), end
 
     compiled = nb.njit(nogil=True)(loop)
     cache = _Cache(loop)
-    own = Path(__file__).read_bytes()
-    cache.digest = hashlib.sha256(
-        own + digest.encode() + repr((n_actions, state_size)).encode()
-    ).hexdigest()
+    parts = (Path(__file__).read_bytes(), digest.encode(), repr((n_actions, n_features)).encode())
+    cache.digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
     compiled._cache = cache
     return compiled
 
 
 @nb.njit(cache=True)
-def _mix(probs, greedy, soft, uniform, temperature):
+def _mix(probs, work, mixture, column):
     """Turn logits into μ in place (``strategies.mixture_probs``)."""
     n = len(probs)
+    greedy, soft = np.float32(mixture[0, column]), np.float32(mixture[1, column])
+    uniform = np.float32(mixture[2, column])
     largest = probs[0]
     for k in range(1, n):
         largest = max(largest, probs[k])
-    ties = np.float32(0)
-    total = np.float32(0)
+    if soft != 0:
+        temperature = max(np.float32(mixture[3, column]), _TINY)
+        total = np.float32(0)
+        for k in range(n):
+            work[k] = math.exp((probs[k] - largest) / temperature)
+            total += work[k]
+        for k in range(n):
+            work[k] = soft * (work[k] / total)
+    else:
+        for k in range(n):
+            work[k] = 0
     if greedy != 0:
+        ties = np.float32(0)
         for k in range(n):
             ties += np.float32(probs[k] == largest)
-    if soft != 0:
         for k in range(n):
-            total += np.float32(math.exp((probs[k] - largest) / temperature))
+            work[k] += greedy * (np.float32(probs[k] == largest) / ties)
+    if uniform != 0:
+        for k in range(n):
+            work[k] += uniform * (np.float32(1) / np.float32(n))
     for k in range(n):
-        p = np.float32(0)
-        if greedy != 0:
-            p += greedy * (np.float32(probs[k] == largest) / ties)
-        if soft != 0:
-            p += soft * (np.float32(math.exp((probs[k] - largest) / temperature)) / total)
-        if uniform != 0:
-            p += uniform * (np.float32(1) / np.float32(n))
-        probs[k] = p
+        probs[k] = work[k]
 
 
 @nb.njit(cache=True)
@@ -173,3 +215,29 @@ def _draw(probs, u):
         below += np.float64(probs[k])
         chosen += below <= point
     return chosen
+
+
+@nb.njit(cache=True)
+def _deliver(scratch, columns, j, row, start):
+    """Write episode j of a group to the frames from ``start`` on."""
+    x, a, chance, r, steps, ended = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5]  # fmt: skip
+    (trial, observation, action, action_log_prob, reward, done, terminated, truncated,
+     step_count, episode_reward) = columns  # fmt: skip
+    n = steps[j]
+    total = np.float32(0)
+    for t in range(n):
+        i = start + t
+        trial[i] = row
+        for k in range(observation.shape[1]):
+            observation[i, k] = x[j, t, k]
+        action[i] = a[j, t]
+        action_log_prob[i] = math.log(chance[j, t])
+        total += r[j, t]
+        reward[i] = r[j, t]
+        done[i] = terminated[i] = truncated[i] = False
+        step_count[i] = t + 1
+        episode_reward[i] = total
+    last = start + n - 1
+    done[last] = True
+    terminated[last] = ended[j]
+    truncated[last] = n == x.shape[1]

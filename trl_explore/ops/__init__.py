@@ -8,5 +8,12 @@ every sum runs in the order of the frames, so that a trial does not depend on it
 from trl_explore.ops.linear import lane_linear
 from trl_explore.ops.log_prob import categorical_log_prob
 from trl_explore.ops.returns import return_to_go
+from trl_explore.ops.score import lane_sum, linear_softmax_score
 
-__all__ = ["categorical_log_prob", "lane_linear", "return_to_go"]
+__all__ = [
+    "categorical_log_prob",
+    "lane_linear",
+    "lane_sum",
+    "linear_softmax_score",
+    "return_to_go",
+]

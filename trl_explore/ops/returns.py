@@ -6,8 +6,12 @@ import numba as nb
 import torch
 from torch import Tensor
 
+from trl_explore.ops.threads import by_trial, fits
 
-def return_to_go(reward: Tensor, done: Tensor, gamma: float) -> Tensor:
+
+def return_to_go(
+    reward: Tensor, done: Tensor, gamma: float, trial: Tensor | None = None
+) -> Tensor:
     """G_t = r_t + γ · G_{t+1}, with G_{t+1} = 0 behind a frame that is done, and behind the last.
 
     Time is the last dimension; any number of episodes may follow each other along it. This is
@@ -18,6 +22,7 @@ def return_to_go(reward: Tensor, done: Tensor, gamma: float) -> Tensor:
         reward: [*batch, time].
         done: [*batch, time] bool, True on the last frame of an episode.
         gamma: discount γ in [0, 1].
+        trial: [time] int64, for one row of several trials' frames: G_{t+1} = 0 where it changes.
 
     Returns:
         [*batch, time], in the dtype of ``reward``.
@@ -27,16 +32,15 @@ def return_to_go(reward: Tensor, done: Tensor, gamma: float) -> Tensor:
         >>> return_to_go(torch.tensor([1.0, 1.0, 4.0]), done, 0.5).tolist()
         [1.5, 1.0, 4.0]
     """
-    if reward.device.type == "cpu" and reward.dtype in (torch.float32, torch.float64):
+    if trial is not None and fits(reward):
         out = torch.empty(reward.shape, dtype=reward.dtype)
-        time = max(reward.shape[-1], 1)
-        _return_to_go(
-            reward.detach().reshape(-1, time).contiguous().numpy(),
-            done.reshape(-1, time).contiguous().numpy(),
-            gamma,
-            out.view(-1, time).numpy(),
-        )
+        reward, done, trial = reward.detach().contiguous(), done.contiguous(), trial.contiguous()
+        frames = (reward.numpy(), done.numpy(), out.numpy(), trial.numpy())
+        by_trial(_flat, frames, (gamma,))
         return out
+    if trial is not None:
+        done = done.clone()
+        done[:-1] |= trial[1:] != trial[:-1]
     going = (~done).to(reward.dtype)
     out = torch.empty_like(reward)
     after = torch.zeros_like(reward[..., 0])
@@ -47,11 +51,11 @@ def return_to_go(reward: Tensor, done: Tensor, gamma: float) -> Tensor:
 
 
 @nb.njit(cache=True, nogil=True)
-def _return_to_go(reward, done, gamma, out):  # pragma: no cover - compiled
-    for row in range(reward.shape[0]):
-        after = 0.0
-        for t in range(reward.shape[1] - 1, -1, -1):
-            if done[row, t]:
-                after = 0.0
-            after = reward[row, t] + gamma * after
-            out[row, t] = after
+def _flat(reward, done, out, trial, gamma):
+    after = 0.0
+    for t in range(len(reward) - 1, -1, -1):
+        if done[t] or (t + 1 < len(trial) and trial[t + 1] != trial[t]):
+            after = 0.0
+        after = reward[t] + gamma * after
+        out[t] = after
+    return True

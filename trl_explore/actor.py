@@ -1,0 +1,111 @@
+"""The target policy as a distribution, for the loss; nothing about exploration is in it."""
+
+from __future__ import annotations
+
+from functools import cached_property, singledispatch
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule
+from torch import Tensor
+from torch.distributions import Categorical as TorchCategorical
+from torch.distributions import Distribution
+from torchrl.modules import ProbabilisticActor
+
+from trl_explore.ops import categorical_log_prob, lane_sum, linear_softmax_score
+from trl_explore.policy import LinearPolicy
+
+
+class SoftmaxCategorical(TorchCategorical):
+    """π = softmax(logits) over actions; like torch's Categorical, and cheaper for log π(a|s).
+
+    Args:
+        logits: [*batch, n_actions], not necessarily normalised.
+        mask: [*batch, n_actions] bool, False where an action is not allowed (probability 0).
+    """
+
+    def __init__(self, logits: Tensor, mask: Tensor | None = None) -> None:
+        self._unnormalised = logits if mask is None else logits.masked_fill(~mask, -torch.inf)
+        self._num_events = logits.shape[-1]
+        Distribution.__init__(self, batch_shape=logits.shape[:-1], validate_args=False)
+
+    @cached_property
+    def logits(self) -> Tensor:
+        """Log π(·|s) [*batch, n_actions]."""
+        return self._unnormalised.log_softmax(-1)
+
+    @cached_property
+    def probs(self) -> Tensor:
+        """π(·|s) [*batch, n_actions]."""
+        return self._unnormalised.softmax(-1)
+
+    @property
+    def param_shape(self) -> torch.Size:
+        """The shape of the logits."""
+        return self._unnormalised.shape
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        """Log π(value|s) [*batch]."""
+        return categorical_log_prob(self._unnormalised, value)
+
+
+class SoftmaxActor(ProbabilisticActor):
+    """The target policy π = softmax(logits) over a module that writes "logits".
+
+    It shares its parameters with ``policy`` and serves the loss (``get_dist``); the behaviour in
+    the environment is the policy followed by a strategy.
+
+    Args:
+        policy: a module that writes "logits".
+        masked: whether the data have an "action_mask" [*batch, n_actions] that π obeys too.
+    """
+
+    def __init__(self, policy: TensorDictModule, *, masked: bool = False) -> None:
+        self.masked = masked
+        keys = {"logits": "logits", **({"mask": "action_mask"} if masked else {})}
+        super().__init__(policy, in_keys=keys, distribution_class=SoftmaxCategorical)
+
+
+@singledispatch
+def score_sum(
+    actor: ProbabilisticTensorDictSequential,
+    tensordict: TensorDictBase,
+    action: Tensor,
+    advantage: Tensor,
+    trial: Tensor,
+    trials: int,
+) -> Tensor:
+    """S_k = Σ_{i: trial_i = k} A_i log π(a_i|s_i), whose gradient is the policy gradient.
+
+    Args:
+        actor: the target policy, any ``ProbabilisticActor``.
+        tensordict: flat frames [frames] with what the actor reads.
+        action: [frames, ...].
+        advantage: A, a constant factor of each frame [frames].
+        trial: [frames] int64 in [0, trials).
+        trials: the number of trials.
+
+    Returns:
+        S [trials].
+    """
+    log_prob = actor.get_dist(tensordict).log_prob(action)
+    return lane_sum(log_prob.reshape(-1) * advantage, trial, trials)
+
+
+@score_sum.register
+def _(
+    actor: SoftmaxActor,
+    tensordict: TensorDictBase,
+    action: Tensor,
+    advantage: Tensor,
+    trial: Tensor,
+    trials: int,
+) -> Tensor:
+    policy = actor[0]
+    if isinstance(policy, LinearPolicy) and not actor.masked and len(policy.weight) == trials:
+        observation = tensordict.get("observation")
+        return linear_softmax_score(observation, policy.weight, action, advantage, trial)
+    return score_sum.dispatch(ProbabilisticTensorDictSequential)(
+        actor, tensordict, action, advantage, trial, trials
+    )

@@ -1,0 +1,158 @@
+"""The sum that every policy gradient is made of, for a linear-softmax policy, in one pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba as nb
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from trl_explore.ops.linear import lane_linear
+from trl_explore.ops.log_prob import categorical_log_prob
+from trl_explore.ops.threads import by_trial, fits
+
+
+def lane_sum(values: Tensor, trial: Tensor, trials: int) -> Tensor:
+    """S_k = Σ_{i: trial_i = k} values_i, summed in the order of the frames.
+
+    Args:
+        values: [frames].
+        trial: [frames] int64 in [0, trials).
+        trials: the number of sums.
+
+    Returns:
+        [trials].
+
+    Example:
+        >>> lane_sum(torch.tensor([1.0, 2.0, 3.0]), torch.tensor([0, 0, 2]), 3).tolist()
+        [3.0, 0.0, 3.0]
+    """
+    return values.new_zeros(trials).index_add(0, trial, values)
+
+
+def linear_softmax_score(
+    observation: Tensor, weight: Tensor, action: Tensor, advantage: Tensor, trial: Tensor
+) -> Tensor:
+    """S_k = Σ_{i: trial_i = k} A_i log softmax(W_k x_i)_{a_i}.
+
+    Its gradient, ∂S_k/∂W_k = Σ_i A_i (e_{a_i} − softmax(W_k x_i)) x_iᵀ, is summed in the same pass
+    over the frames, so that nothing is stored for the way back.
+
+    Args:
+        observation: x [frames, n_features].
+        weight: W [trials, n_actions, n_features].
+        action: a [frames] int64.
+        advantage: A [frames], a constant factor of each frame.
+        trial: [frames] int64.
+
+    Returns:
+        S [trials].
+
+    Raises:
+        IndexError: if an action or trial is out of range.
+
+    Example:
+        >>> x, w = torch.ones(3, 1), torch.zeros(2, 2, 1)
+        >>> one = torch.ones(3)
+        >>> score = linear_softmax_score(x, w, torch.tensor([0, 1, 1]), one, torch.tensor([0, 0, 1]))
+        >>> (score / torch.tensor(0.5).log()).tolist()
+        [2.0, 1.0]
+    """
+    if not fits(observation, weight, advantage) or observation.requires_grad:
+        logits = lane_linear(observation, weight, trial)
+        return lane_sum(categorical_log_prob(logits, action) * advantage, trial, len(weight))
+    return _LinearSoftmaxScore.apply(observation, weight, action, advantage, trial)  # type: ignore[return-value]
+
+
+class _LinearSoftmaxScore(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,
+        observation: Tensor,
+        weight: Tensor,
+        action: Tensor,
+        advantage: Tensor,
+        trial: Tensor,
+    ) -> Tensor:
+        w = weight.detach().contiguous().numpy()
+        gradient = np.zeros(w.shape)
+        total = np.zeros(len(w))
+        frames = (
+            observation.contiguous().numpy(),
+            action.contiguous().numpy(),
+            advantage.contiguous().numpy(),
+            trial.contiguous().numpy(),
+        )
+        kernel = _score_2 if w.shape[1] == 2 else _score
+        valid = by_trial(kernel, frames, (w, total, gradient))
+        if not valid:
+            raise IndexError(f"an action is not in [0, {w.shape[1]}) or a trial not in [0, {len(w)})")
+        ctx.save_for_backward(torch.from_numpy(gradient).to(weight.dtype))
+        return torch.from_numpy(total).to(weight.dtype)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[None, Tensor, None, None, None]:
+        (gradient,) = ctx.saved_tensors
+        return None, grad.reshape(-1, 1, 1) * gradient, None, None, None
+
+
+@nb.njit(cache=True, nogil=True)
+def _score(observation, action, advantage, trial, weight, total, gradient):
+    trials, n_actions, n_features = weight.shape
+    probs = np.empty(n_actions, dtype=weight.dtype)
+    for i in range(len(action)):
+        lane, chosen, factor = trial[i], action[i], np.float64(advantage[i])
+        if not (0 <= chosen < n_actions and 0 <= lane < trials):
+            return False
+        w, x, g = weight[lane], observation[i], gradient[lane]
+        for a in range(n_actions):
+            logit = w[a, 0] * x[0]
+            for k in range(1, n_features):
+                logit += w[a, k] * x[k]
+            probs[a] = logit
+        largest = probs[0]
+        for a in range(1, n_actions):
+            largest = max(largest, probs[a])
+        log_prob = probs[chosen] - largest
+        normaliser = probs[0] - probs[0]  # 0 of the right dtype, and NaN where a logit is
+        for a in range(n_actions):
+            probs[a] = np.exp(probs[a] - largest)
+            normaliser += probs[a]
+        total[lane] += factor * (log_prob - np.log(normaliser))
+        for a in range(n_actions):
+            slope = factor * (np.float64(a == chosen) - np.float64(probs[a] / normaliser))
+            for k in range(n_features):
+                g[a, k] += slope * x[k]
+    return True
+
+
+@nb.njit(cache=True, nogil=True)
+def _score_2(observation, action, advantage, trial, weight, total, gradient):
+    """Two actions: d = logit of the other − logit of the chosen; log π = −log(1 + e^d)."""
+    trials, _, n_features = weight.shape
+    one = np.ones(1, dtype=weight.dtype)[0]
+    zero = one - one
+    for i in range(len(action)):
+        lane, chosen, factor = trial[i], action[i], np.float64(advantage[i])
+        if not (0 <= chosen < 2 and 0 <= lane < trials):
+            return False
+        w, x, g = weight[lane], observation[i], gradient[lane]
+        first, second = w[0, 0] * x[0], w[1, 0] * x[0]
+        for k in range(1, n_features):
+            first += w[0, k] * x[k]
+            second += w[1, k] * x[k]
+        d = first - second if chosen == 1 else second - first
+        small = np.exp(-abs(d))  # never overflows
+        total[lane] -= factor * (np.log1p(small) + max(d, zero))
+        other = (small if d < zero else one) / (one + small)  # the probability of the other
+        slope = factor * other
+        if chosen == 0:
+            slope = -slope
+        for k in range(n_features):
+            g[1, k] += slope * x[k]
+            g[0, k] -= slope * x[k]
+    return True

@@ -1,0 +1,57 @@
+"""Frames divided among threads, at the boundaries of trials."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+MIN_FRAMES = 50_000
+"""Below this number of frames, handing work to a thread costs more than it saves."""
+
+
+@lru_cache(maxsize=1)
+def pool(threads: int) -> ThreadPoolExecutor:
+    """The threads that compiled code without the interpreter's lock runs on."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="trl_explore")
+
+
+def fits(first: Tensor, *others: Tensor) -> bool:
+    """Whether compiled code serves these tensors: on the CPU, all float32 or all float64."""
+    return first.dtype in (torch.float32, torch.float64) and all(
+        t.device.type == "cpu" and t.dtype == first.dtype for t in (first, *others)
+    )
+
+
+def by_trial(
+    kernel: Callable[..., bool], frames: Sequence[NDArray[Any]], shared: Sequence[Any]
+) -> bool:
+    """Call ``kernel(*frames, *shared)``, on large data in several threads at once.
+
+    Every thread has the frames of whole trials, in their order, so that no result depends on the
+    number of threads (``torch.set_num_threads``) as long as trials share nothing in the kernel.
+
+    Args:
+        kernel: compiled, releasing the interpreter's lock; returns whether the data are valid.
+        frames: arrays [frames, ...]; the last one is the trial of each frame.
+        shared: further arguments, the same for every thread.
+
+    Returns:
+        Whether every call found its data valid.
+    """
+    trial, threads = frames[-1], torch.get_num_threads()
+    if threads == 1 or len(trial) < MIN_FRAMES or (np.diff(trial) < 0).any():
+        return kernel(*frames, *shared)
+    cuts = [len(trial) * j // threads for j in range(1, threads)]
+    edges = [0, *(int(np.searchsorted(trial, trial[cut])) for cut in cuts), len(trial)]
+    calls = [
+        pool(threads).submit(kernel, *(array[low:high] for array in frames), *shared)
+        for low, high in zip(edges, edges[1:], strict=False)
+    ]
+    return all([call.result() for call in calls])
