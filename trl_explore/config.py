@@ -220,7 +220,6 @@ def build_trainer(config: DictConfig) -> Trainer:
     """
     from tensordict.nn import TensorDictSequential
 
-    from trl_explore.optim import LaneOptimizer
     from trl_explore.actor import SoftmaxActor
     from trl_explore.trainer import Trainer
     from trl_explore.trials import Trials
@@ -240,9 +239,7 @@ def build_trainer(config: DictConfig) -> Trainer:
     strategy = _instantiate(config, "strategy")()
     env = _instantiate(config, "env")(trials=config.trials, **streams)
     policy = _instantiate(config, "policy")(env=env, **streams)
-    optimizer = _build(
-        "optimizer", lambda: LaneOptimizer(_instantiate(config, "optimizer"), policy.parameters())
-    )
+    optimizer = _instantiate(config, "optimizer")(policy.parameters())
     loss = _instantiate(config, "loss")(SoftmaxActor(policy), trials=config.trials)
     collector = _instantiate(config, "collector")(env, TensorDictSequential(policy, strategy))
     return _build("loss", lambda: Trainer(collector, loss, optimizer, trials))

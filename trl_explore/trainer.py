@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from torchrl.objectives.common import LossModule
 
 from trl_explore.collectors import EpisodeCollector
-from trl_explore.optim import LaneOptimizer
+from trl_explore.optim import TrialOptimizer
 from trl_explore.trials import Trials
 
 
@@ -36,7 +36,7 @@ class Trainer:
         self,
         collector: EpisodeCollector,
         loss: LossModule,
-        optimizer: LaneOptimizer,
+        optimizer: TrialOptimizer,
         trials: Trials,
         *,
         on_iteration: Callable[[Trials], None] | None = None,

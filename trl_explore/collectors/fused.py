@@ -20,16 +20,20 @@ from tensordict.nn import TensorDictSequential
 from torchrl.envs import RewardSum, StepCounter, TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
+from trl_explore.checks import check_integer
 from trl_explore.collectors.base import EpisodeCollector
 from trl_explore.collectors.loop import compile_loop, scratch
 from trl_explore.kernels import Kernel, kernel_of
 from trl_explore.policy import LinearPolicy
 from trl_explore.strategies import Mixture, MixtureStrategy
 from trl_explore.streams import Stream, key
+from trl_explore.threads import pool
 
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
 TRANSFORMS = (StepCounter, RewardSum)
 
+MIN_TRIALS = 64
+"""Trials for each thread below which dividing them costs more than it saves."""
 ROOT = ("trial", "observation", "action", "action_log_prob")
 NEXT = ("reward", "done", "terminated", "truncated", "step_count", "episode_reward")
 
@@ -70,6 +74,11 @@ class Columns:
         after = (torch.from_numpy(array).unsqueeze(-1) for array in grown[4:])
         self._next = dict(zip(NEXT, after, strict=True))
 
+    def copy(self, other: Columns, start: int, n: int) -> None:
+        """Take over the first n frames of ``other``, from frame ``start`` on."""
+        for own, source in zip(self.arrays, other.arrays, strict=True):
+            own[start : start + n] = source[:n]
+
     def frames(self, n: int) -> TensorDict:
         """The first n frames as a TensorDict over the same memory."""
         batch = torch.Size([n])
@@ -106,27 +115,62 @@ class FusedCollector(EpisodeCollector):
         super().__init__(env, policy, exploration_type=exploration_type, total_frames=total_frames)
         self.kernel = compilable(env, policy)
         self._loop = compile_loop(self.kernel)
-        self._columns = Columns(self.kernel.n_features)
-        self._scratch = scratch(self.kernel, int(self.lanes.max_steps))
         self._linear: LinearPolicy = policy[0]
+        self.threads = check_integer("threads", threads, 1)
+        steps = int(self.lanes.max_steps)
+        self._workers = [
+            (Columns(self.kernel.n_features), scratch(self.kernel, steps)) for _ in range(threads)
+        ]
 
     def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
-        lanes, columns = self.lanes, self._columns
         trials = np.flatnonzero(active)
+        context = (
+            self.lanes.first_trial,
+            key(self.lanes.seed, Stream.ENVIRONMENT),
+            key(self.lanes.seed, Stream.ACTION),
+            self._linear.weight.detach().numpy(),
+            self._mixture(),
+        )
+        workers = self._workers if len(trials) >= MIN_TRIALS * self.threads else self._workers[:1]
+        if len(workers) == 1:
+            return workers[0][0].frames(self._run(workers[0], trials, context))
+        threads = pool(self.threads)
+        parts = np.array_split(trials, len(workers))
+        calls = [
+            threads.submit(self._run, worker, part, context)
+            for worker, part in zip(workers, parts, strict=True)
+        ]
+        sizes = [call.result() for call in calls]
+        columns = [worker[0] for worker in workers]
+        columns[0].reserve(sum(sizes), sizes[0])
+        ends = np.cumsum(sizes).tolist()
+        copies = [
+            threads.submit(columns[0].copy, columns[i], ends[i - 1], sizes[i])
+            for i in range(1, len(workers))
+        ]
+        for copy in copies:
+            copy.result()
+        return columns[0].frames(ends[-1])
+
+    def _run(
+        self,
+        worker: tuple[Columns, tuple[NDArray[Any], ...]],
+        trials: NDArray[np.int64],
+        context: tuple[Any, ...],
+    ) -> int:
+        """Fill a worker's columns with the episodes of ``trials``; returns the number of frames."""
+        columns, memory = worker
         episodes = self.episodes[trials]
-        weight = self._linear.weight.detach().numpy()
-        mixture = self._mixture()
-        keys = key(lanes.seed, Stream.ENVIRONMENT), key(lanes.seed, Stream.ACTION)
-        finished = frames = 0
         columns.reserve(len(trials) * 64)
+        finished = frames = 0
         while True:
             done, frames = self._loop(
-                self.kernel.parameters, trials[finished:], episodes[finished:], lanes.first_trial,
-                *keys, weight, mixture, self._scratch, columns.arrays, frames,
+                self.kernel.parameters, trials[finished:], episodes[finished:], *context,
+                memory, columns.arrays, frames,
             )  # fmt: skip
             finished += done
             if finished == len(trials):
-                return columns.frames(frames)
+                return frames
             columns.reserve(2 * columns.capacity, frames)
 
     def _mixture(self) -> NDArray[np.float64]:

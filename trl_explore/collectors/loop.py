@@ -23,6 +23,8 @@ from numba.core.caching import FunctionCache
 from numpy.typing import NDArray
 
 from trl_explore.kernels import Kernel
+from trl_explore.kernels.base import kernel_function
+from trl_explore.kernels.borrow import borrow
 from trl_explore.kernels.philox import STATE_SIZE, begin, philox_block, to_unit
 
 GROUP = 16
@@ -93,12 +95,16 @@ def _compile(
         parameters, trials, episodes, first_trial, env_key, action_key, weight, mixture,
         scratch, columns, start,
     ):  # fmt: skip
-        observation, action, chance, reward, steps, terminated, state, rng, noise = scratch
+        observation, action, chance = borrow(scratch[0]), borrow(scratch[1]), borrow(scratch[2])
+        reward, steps, terminated = borrow(scratch[3]), borrow(scratch[4]), borrow(scratch[5])
+        state, rng, noise = borrow(scratch[6]), borrow(scratch[7]), borrow(scratch[8])
+        weight = borrow(weight)
         max_steps = action.shape[1]
         size = len(steps)
         running = np.empty(size, dtype=np.int64)
-        probs = np.empty(n_actions, dtype=np.float32)
-        work = np.empty(n_actions, dtype=np.float32)
+        own_probs = np.empty(n_actions, dtype=np.float32)
+        own_work = np.empty(n_actions, dtype=np.float32)
+        probs, work = borrow(own_probs), borrow(own_work)
         per_trial = mixture.shape[1] > 1
         end = start
         for first in range(0, len(trials), size):
@@ -156,9 +162,10 @@ def _compile(
             for j in range(len(group)):
                 _deliver(scratch, columns, j, group[j], end)
                 end += steps[j]
+        own_probs[0] = own_work[0]  # keeps them alive to here
         return len(trials), end
 
-    compiled = nb.njit(nogil=True)(loop)
+    compiled = nb.njit(nogil=True, error_model="numpy")(loop)
     cache = _Cache(loop)
     parts = (Path(__file__).read_bytes(), digest.encode(), repr((n_actions, n_features)).encode())
     cache.digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
@@ -166,12 +173,21 @@ def _compile(
     return compiled
 
 
-@nb.njit(cache=True)
+@kernel_function
 def _mix(probs, work, mixture, column):
     """Turn logits into μ in place (``strategies.mixture_probs``)."""
     n = len(probs)
     greedy, soft = np.float32(mixture[0, column]), np.float32(mixture[1, column])
     uniform = np.float32(mixture[2, column])
+    one = np.float32(1)
+    if n == 2 and soft == one:  # the common case with one exponential instead of two
+        d = (probs[0] - probs[1]) / max(np.float32(mixture[3, column]), _TINY)
+        e = np.float32(math.exp(-abs(d)))
+        larger = one / (one + e)
+        first = d > 0
+        probs[0] = larger if first else e * larger
+        probs[1] = e * larger if first else larger
+        return
     largest = probs[0]
     for k in range(1, n):
         largest = max(largest, probs[k])
@@ -199,7 +215,7 @@ def _mix(probs, work, mixture, column):
         probs[k] = work[k]
 
 
-@nb.njit(cache=True)
+@kernel_function
 def _draw(probs, u):
     """The action that ``u`` selects (``strategies.inverse_cdf``)."""
     n = len(probs)
@@ -217,26 +233,32 @@ def _draw(probs, u):
     return chosen
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def _deliver(scratch, columns, j, row, start):
     """Write episode j of a group to the frames from ``start`` on."""
     x, a, chance, r, steps, ended = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5]  # fmt: skip
     (trial, observation, action, action_log_prob, reward, done, terminated, truncated,
      step_count, episode_reward) = columns  # fmt: skip
     n = steps[j]
+    for t in range(n):  # one loop for each column: the simple ones become vector instructions
+        trial[start + t] = row
+    for t in range(n):
+        for k in range(observation.shape[1]):
+            observation[start + t, k] = x[j, t, k]
+    for t in range(n):
+        action[start + t] = a[j, t]
+    for t in range(n):
+        action_log_prob[start + t] = math.log(chance[j, t])
+    for t in range(n):
+        reward[start + t] = r[j, t]
+    for t in range(n):
+        done[start + t] = terminated[start + t] = truncated[start + t] = False
+    for t in range(n):
+        step_count[start + t] = t + 1
     total = np.float32(0)
     for t in range(n):
-        i = start + t
-        trial[i] = row
-        for k in range(observation.shape[1]):
-            observation[i, k] = x[j, t, k]
-        action[i] = a[j, t]
-        action_log_prob[i] = math.log(chance[j, t])
         total += r[j, t]
-        reward[i] = r[j, t]
-        done[i] = terminated[i] = truncated[i] = False
-        step_count[i] = t + 1
-        episode_reward[i] = total
+        episode_reward[start + t] = total
     last = start + n - 1
     done[last] = True
     terminated[last] = ended[j]

@@ -9,8 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
+import numba as nb
 
 Function = Callable[..., Any]
+
+kernel_function = nb.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+"""Decorator of a kernel's functions: compiled into the loop that calls them, kept on disk."""
 
 
 @dataclass(frozen=True)

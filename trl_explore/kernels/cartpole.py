@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 
-from trl_explore.kernels.base import Kernel, register_kernel
+from trl_explore.kernels.base import Kernel, kernel_function, register_kernel
 from trl_explore.kernels.philox import random
 
 
-@nb.njit(cache=True)
+@kernel_function
 def reset(parameters, state, rng):
     """x, ẋ, θ, θ̇ ~ U(−0.05, 0.05)."""
     for i in range(4):
         state[i] = -0.05 + (0.05 - -0.05) * random(rng)
 
 
-@nb.njit(cache=True)
+@kernel_function
 def step(parameters, state, action, rng):
     """One step of ``tau`` seconds under a force of ±``force_mag``; the order of the sums matters."""
     (gravity, masspole, total_mass, length, polemass_length, force_mag, tau,
@@ -46,7 +45,7 @@ def step(parameters, state, action, rng):
     return (fallen if terminated else alive), terminated
 
 
-@nb.njit(cache=True)
+@kernel_function
 def observe(parameters, state, observation):
     """The state itself."""
     for i in range(4):

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 
-from trl_explore.kernels.base import Kernel, register_kernel
+from trl_explore.kernels.base import Kernel, kernel_function, register_kernel
 from trl_explore.kernels.philox import random
 
 
-@nb.njit(cache=True)
+@kernel_function
 def _draw(cumulated, rng):
     """The first index whose cumulated probability exceeds a random number; 0 if none does."""
     u = random(rng)
@@ -20,13 +19,13 @@ def _draw(cumulated, rng):
     return 0
 
 
-@nb.njit(cache=True)
+@kernel_function
 def reset(parameters, state, rng):
     """A tile marked S."""
     state[0] = _draw(parameters[0], rng)
 
 
-@nb.njit(cache=True)
+@kernel_function
 def step(parameters, state, action, rng):
     """One of the outcomes of (state, action), by its probability."""
     _, cumulated, successor, reward, terminal = parameters
@@ -36,7 +35,7 @@ def step(parameters, state, action, rng):
     return reward[tile, action, i], terminal[tile, action, i]
 
 
-@nb.njit(cache=True)
+@kernel_function
 def observe(parameters, state, observation):
     """One-hot."""
     observation[:] = 0

@@ -6,7 +6,7 @@ import numba as nb
 import torch
 from torch import Tensor
 
-from trl_explore.ops.threads import by_trial, fits
+from trl_explore.threads import by_trial, fits
 
 
 def return_to_go(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numba as nb
@@ -10,9 +12,10 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from trl_explore.kernels.borrow import borrow
 from trl_explore.ops.linear import lane_linear
 from trl_explore.ops.log_prob import categorical_log_prob
-from trl_explore.ops.threads import by_trial, fits
+from trl_explore.threads import by_trial, fits
 
 
 def lane_sum(values: Tensor, trial: Tensor, trials: int) -> Tensor:
@@ -86,7 +89,7 @@ class _LinearSoftmaxScore(torch.autograd.Function):
             advantage.contiguous().numpy(),
             trial.contiguous().numpy(),
         )
-        kernel = _score_2 if w.shape[1] == 2 else _score
+        kernel = _score_two(w.shape[2]) if w.shape[1] == 2 else _score
         valid = by_trial(kernel, frames, (w, total, gradient))
         if not valid:
             raise IndexError(f"an action is not in [0, {w.shape[1]}) or a trial not in [0, {len(w)})")
@@ -130,29 +133,49 @@ def _score(observation, action, advantage, trial, weight, total, gradient):
     return True
 
 
-@nb.njit(cache=True, nogil=True)
-def _score_2(observation, action, advantage, trial, weight, total, gradient):
-    """Two actions: d = logit of the other − logit of the chosen; log π = −log(1 + e^d)."""
-    trials, _, n_features = weight.shape
-    one = np.ones(1, dtype=weight.dtype)[0]
-    zero = one - one
-    for i in range(len(action)):
-        lane, chosen, factor = trial[i], action[i], np.float64(advantage[i])
-        if not (0 <= chosen < 2 and 0 <= lane < trials):
-            return False
-        w, x, g = weight[lane], observation[i], gradient[lane]
-        first, second = w[0, 0] * x[0], w[1, 0] * x[0]
-        for k in range(1, n_features):
-            first += w[0, k] * x[k]
-            second += w[1, k] * x[k]
-        d = first - second if chosen == 1 else second - first
-        small = np.exp(-abs(d))  # never overflows
-        total[lane] -= factor * (np.log1p(small) + max(d, zero))
-        other = (small if d < zero else one) / (one + small)  # the probability of the other
-        slope = factor * other
-        if chosen == 0:
-            slope = -slope
-        for k in range(n_features):
-            g[1, k] += slope * x[k]
-            g[0, k] -= slope * x[k]
-    return True
+@lru_cache(maxsize=32)
+def _score_two(n_features: int) -> Callable[..., bool]:
+    """For two actions: d = logit of the other − logit of the chosen; log π = −log(1 + e^d)."""
+
+    @nb.njit(cache=True, nogil=True, error_model="numpy")
+    def score(observation, action, advantage, trial, weight, total, gradient):
+        trials = len(weight)
+        one = np.ones(1, dtype=weight.dtype)[0]
+        zero = one - one
+        own_difference, own_slope = np.empty(n_features, weight.dtype), np.empty(n_features)
+        difference, slope = borrow(own_difference), borrow(own_slope)
+        observation, weight, gradient = borrow(observation), borrow(weight), borrow(gradient)
+        valid = True
+        i = 0
+        while i < len(action):
+            lane = trial[i]
+            if not 0 <= lane < trials:
+                return False
+            for k in range(n_features):
+                difference[k] = weight[lane, 1, k] - weight[lane, 0, k]
+                slope[k] = 0
+            value = 0.0
+            while i < len(action) and trial[i] == lane:
+                valid &= 0 <= action[i] < 2
+                d = difference[0] * observation[i, 0]
+                for k in range(1, n_features):
+                    d += difference[k] * observation[i, k]
+                second = action[i] == 1
+                d = -d if second else d
+                small = np.exp(-abs(d))  # never overflows
+                whole = one + small
+                factor = np.float64(advantage[i])
+                value -= factor * (np.log(whole) + max(d, zero))
+                other = factor * ((small if d < zero else one) / whole)  # times π(other)
+                other = other if second else -other
+                for k in range(n_features):
+                    slope[k] += other * observation[i, k]
+                i += 1
+            total[lane] += value
+            for k in range(n_features):
+                gradient[lane, 1, k] += slope[k]
+                gradient[lane, 0, k] -= slope[k]
+        own_difference[0] = own_slope[0]  # keeps them alive to here
+        return valid
+
+    return score

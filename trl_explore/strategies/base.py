@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -43,8 +44,6 @@ class Strategy(TensorDictModuleBase):
         ValueError: if the spec is not of a kind served, or a mask forbids every action.
     """
 
-    iteration: Tensor
-
     def __init__(
         self,
         *,
@@ -66,7 +65,7 @@ class Strategy(TensorDictModuleBase):
         self.action_mask_key = action_mask_key
         self.in_keys = [logits_key]
         self.out_keys = [action_key, "action_log_prob"]
-        self.register_buffer("iteration", torch.zeros((), dtype=torch.int64))
+        self.iteration = 0
         self._generator = torch.Generator().manual_seed(seed)
 
     @abstractmethod
@@ -118,12 +117,13 @@ class Strategy(TensorDictModuleBase):
             action = torch.nn.functional.one_hot(action, n_actions)
         return action.to(self.spec.dtype)
 
-    def get_extra_state(self) -> dict[str, Tensor]:
-        """The state of the module's own generator."""
-        return {"generator": self._generator.get_state()}
+    def get_extra_state(self) -> dict[str, Any]:
+        """What ``state_dict`` holds: the iteration and the state of the module's own generator."""
+        return {"iteration": self.iteration, "generator": self._generator.get_state()}
 
-    def set_extra_state(self, state: dict[str, Tensor]) -> None:
-        """Restore the state of the module's own generator."""
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore what ``get_extra_state`` gave."""
+        self.iteration = int(state["iteration"])
         self._generator.set_state(state["generator"])
 
 

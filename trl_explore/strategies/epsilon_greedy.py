@@ -33,7 +33,7 @@ class EpsilonGreedy(MixtureStrategy):
 
     def mixture(self) -> Mixture:
         """A point on the edge from greedy to uniform."""
-        epsilon = self.epsilon(int(self.iteration))
+        epsilon = self.epsilon(self.iteration)
         return Mixture(greedy=1 - epsilon, uniform=epsilon)
 
 

@@ -37,4 +37,4 @@ class Softmax(MixtureStrategy):
 
     def mixture(self) -> Mixture:
         """The softmax corner."""
-        return Mixture(softmax=1.0, temperature=self.temperature(int(self.iteration)))
+        return Mixture(softmax=1.0, temperature=self.temperature(self.iteration))

@@ -1,0 +1,44 @@
+# make thesis: build the environment, run the thesis's experiment, write the report.
+# make test:   lint, types and all tests.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/ready
+OUT ?= outputs
+
+.PHONY: help env thesis test lint bench clean
+
+help:
+	@sed -n 's/^# //p' Makefile
+
+env: $(READY)
+
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
+	rm -rf $(VENV)
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $(READY)
+
+thesis: $(READY)
+	$(BIN)/python scripts/train.py experiment=thesis output_dir=$(OUT)
+	$(BIN)/python scripts/train.py experiment=epsilon_grid output_dir=$(OUT)
+	$(BIN)/python scripts/train.py experiment=decay_grid output_dir=$(OUT)
+	$(BIN)/python scripts/time_trials.py $(OUT)/thesis $(OUT)/decay_grid
+	$(BIN)/python scripts/report.py $(OUT)/thesis $(OUT)/epsilon_grid $(OUT)/decay_grid --out $(OUT)/report
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+test: lint
+	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# make bench:  measure the speed, write benchmarks/results.md
+bench: $(READY)
+	$(BIN)/python benchmarks/speed.py
+
+clean:
+	rm -rf $(VENV) build *.egg-info .pytest_cache .ruff_cache
