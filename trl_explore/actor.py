@@ -46,8 +46,10 @@ class SoftmaxCategorical(TorchCategorical):
         return self._unnormalised.shape
 
     def log_prob(self, value: Tensor) -> Tensor:
-        """Log π(value|s) [*batch]."""
-        return categorical_log_prob(self._unnormalised, value)
+        """The log-probability of ``value``, in its shape, which broadcasts with the batch."""
+        shape = torch.broadcast_shapes(value.shape, self.batch_shape)
+        logits = self._unnormalised.expand(*shape, self._num_events)
+        return categorical_log_prob(logits, value.expand(shape))
 
 
 class SoftmaxActor(ProbabilisticActor):

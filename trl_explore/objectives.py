@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
@@ -149,7 +150,7 @@ class ReinforceLoss(LossModule):
         if mask is not None:
             tensordict, advantage, trial = tensordict[mask], advantage[mask], trial[mask]
         tensordict = tensordict if advantage.ndim == 1 else tensordict.reshape(-1)
-        action = tensordict.get(self.tensor_keys.action)
+        action = _entry(tensordict, self.tensor_keys.action)
         with self._with_parameters():
             score = score_sum(
                 self.actor_network,
@@ -168,9 +169,9 @@ class ReinforceLoss(LossModule):
     @torch.no_grad()
     def advantage(self, tensordict: TensorDictBase) -> Tensor:
         """G_t − b for every frame, in the shape of the data [*batch]."""
-        after = tensordict.get("next")
-        reward = after.get(self.tensor_keys.reward).squeeze(-1)
-        done = after.get(self.tensor_keys.done).squeeze(-1)
+        after = _entry(tensordict, "next")
+        reward = _entry(after, self.tensor_keys.reward).squeeze(-1)
+        done = _entry(after, self.tensor_keys.done).squeeze(-1)
         # In flat data a trial may break off before done; the next trial is not its future.
         trial = tensordict.get(self.tensor_keys.trial, None) if reward.ndim == 1 else None
         mask = self._mask(tensordict)
@@ -209,3 +210,10 @@ class ReinforceLoss(LossModule):
         if self.reduction == "sum":
             return trial_loss.sum()
         return trial_loss.mean() if self.reduction == "mean" else trial_loss
+
+
+def _entry(tensordict: TensorDictBase, key: NestedKey) -> Any:
+    value = tensordict.get(key, None)
+    if value is None:
+        raise KeyError(f"the data have no entry {key!r}")
+    return value

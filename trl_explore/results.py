@@ -6,6 +6,10 @@
     weights.safetensors     the final policy of every trial
     run.json                configuration, versions, seed, wall time; written last
 
+Beside the jobs, in the folder of their sweep:
+
+    timings.csv             seconds of single trials, each run by itself (scripts/time_trials.py)
+
 A folder holds a finished job exactly if it holds ``run.json``. Every file appears at once and
 whole; what an interrupted job left behind is removed when the job starts again.
 """
@@ -37,6 +41,8 @@ TRIAL_COLUMNS = (
     "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
 )  # fmt: skip
 EPISODE_COLUMNS = ("trial", "iteration", "score", "frames")
+TIMINGS = "timings.csv"
+TIMING_COLUMNS = ("experiment", "job", "trial", "seconds", "frames")
 PACKAGES = ("trl_explore", "torch", "torchrl", "tensordict", "gymnasium", "numpy", "numba")
 
 
@@ -164,6 +170,19 @@ def _write_weights(path: Path, weights: Mapping[str, Tensor]) -> None:
     _write_whole(path, lambda temporary: save_file(tensors, temporary))
 
 
+def write_timings(sweep: Path, timings: pd.DataFrame) -> None:
+    """Write the seconds of trials that were run by themselves.
+
+    Args:
+        sweep: the folder that holds the folders of the jobs.
+        timings: the columns ``TIMING_COLUMNS``, one row per trial.
+    """
+    table = timings[list(TIMING_COLUMNS)].to_csv(
+        index=False, lineterminator="\n", float_format="%.6f"
+    )
+    _write_text(sweep / TIMINGS, table)
+
+
 # Reading
 
 
@@ -212,6 +231,23 @@ def read_episodes(job: Path) -> pd.DataFrame:
         ResultsError: if the file is missing, truncated or foreign.
     """
     return _read_csv(job / EPISODES, EPISODE_COLUMNS)
+
+
+def read_timings(sweep: Path) -> pd.DataFrame | None:
+    """``timings.csv`` of a sweep as a data frame, checked; None where nothing was timed.
+
+    Raises:
+        ResultsError: if the file is truncated or foreign.
+    """
+    if not (sweep / TIMINGS).exists():
+        return None
+    frame = _read_csv(sweep / TIMINGS, TIMING_COLUMNS)
+    numbers = frame["trial"].dtype.kind == "i" and frame["seconds"].dtype.kind in "fi"
+    if not (numbers and (frame["seconds"] > 0).all() and np.isfinite(frame["seconds"]).all()):
+        raise ResultsError(f"{sweep / TIMINGS}: column trial or seconds is not of its type")
+    if frame.duplicated(["experiment", "job", "trial"]).any():
+        raise ResultsError(f"{sweep / TIMINGS}: a trial stands there twice")
+    return frame.astype({"experiment": str, "job": str})
 
 
 def read_curves(job: Path) -> pd.DataFrame:

@@ -144,6 +144,6 @@ def as_schedule(
     for bound in value.bounds:
         # A decay may approach an open bound without ever reaching it.
         check_number(name, bound, low, high)
-    if low_open and value(0) == low:
+    if low_open and np.any(value(0) == low):
         check_number(name, low, low, high, low_open=True)
     return value

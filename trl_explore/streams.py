@@ -19,14 +19,14 @@ class Stream(IntEnum):
 
 @lru_cache(maxsize=256)
 def key(seed: int, stream: Stream) -> NDArray[np.uint64]:
-    """The Philox key of a stream of a job: 128 bits from ``SeedSequence([seed, stream])``, [2].
+    """The Philox key of a stream of a job: [2], from ``SeedSequence(seed, spawn_key=(stream,))``.
 
     Raises:
         ValueError: if the seed is negative.
     """
     if seed < 0:
         raise ValueError(f"seed must be a non-negative integer, got {seed}")
-    words = np.random.SeedSequence([seed, int(stream)]).generate_state(2, np.uint64)
+    words = np.random.SeedSequence(seed, spawn_key=(int(stream),)).generate_state(2, np.uint64)
     words.flags.writeable = False
     return words
 
@@ -36,7 +36,7 @@ def generator(seed: int, stream: Stream, trial: int, episode: int = 0) -> np.ran
 
     Philox4x64-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3") with
 
-        key = SeedSequence([seed, stream]) (128 bits),   counter = (block, 0, episode, trial).
+        key = SeedSequence(seed, spawn_key=(stream,)),   counter = (block, 0, episode, trial).
 
     A counter-based generator has no state to carry along: any episode of any trial is reached
     at once, so that a trial does not depend on its neighbours, on how many episodes they took,

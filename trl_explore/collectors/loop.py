@@ -32,7 +32,7 @@ GROUP = 16
 SCRATCH_BYTES = 1 << 22
 """The scratch of a group should stay in the processor's cache."""
 
-_TINY = np.float32(np.finfo(np.float32).tiny)
+_TINY, _HUGE = np.float32(np.finfo(np.float32).tiny), np.float32(np.finfo(np.float32).max)
 _ZERO, _ONE = np.uint64(0), np.uint64(1)
 
 
@@ -181,7 +181,8 @@ def _mix(probs, work, mixture, column):
     uniform = np.float32(mixture[2, column])
     one = np.float32(1)
     if n == 2 and soft == one:  # the common case with one exponential instead of two
-        d = (probs[0] - probs[1]) / max(np.float32(mixture[3, column]), _TINY)
+        temperature = min(max(np.float32(mixture[3, column]), _TINY), _HUGE)
+        d = (probs[0] - probs[1]) / temperature
         e = np.float32(math.exp(-abs(d)))
         larger = one / (one + e)
         first = d > 0
@@ -192,7 +193,7 @@ def _mix(probs, work, mixture, column):
     for k in range(1, n):
         largest = max(largest, probs[k])
     if soft != 0:
-        temperature = max(np.float32(mixture[3, column]), _TINY)
+        temperature = min(max(np.float32(mixture[3, column]), _TINY), _HUGE)
         total = np.float32(0)
         for k in range(n):
             work[k] = math.exp((probs[k] - largest) / temperature)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
+from torchrl.envs.transforms import Transform
 from torchrl.envs.utils import set_exploration_type
 
 from trl_explore.collectors.base import EpisodeCollector
@@ -41,11 +44,35 @@ class TorchRLCollector(EpisodeCollector):
                 td.set("trial", trial)
                 td.set("noise", noise.step(lanes.running))
                 running.append(lanes.running.copy())
-                td = self.env.step(self.policy(td))
+                for module in self.policy:
+                    module(td)
+                td.set("next", self._next(td))
                 frames.append(self._frame(td))
                 td = self.env._step_mdp(td)
         mask = torch.from_numpy(np.stack(running)).t()
         return torch.stack(frames, 1)[mask]
+
+    def _next(self, td: TensorDictBase) -> TensorDictBase:
+        """What ``env.step`` writes to "next".
+
+        Three quarters of the time of ``env.step`` goes into what does not change from step to step:
+        partial steps, the completion of done entries, copies for inverse transforms. Where no
+        transform has an inverse, the base environment and the transforms are called themselves.
+        """
+        if self._has_inverse:
+            return self.env.step(td).get("next")
+        after = self.env.base_env._step(td)
+        for transform in self._transforms:
+            after = transform._step(td, after)
+        return after
+
+    @cached_property
+    def _transforms(self) -> list[Transform]:
+        return list(self.env.transform) if self.env.transform is not None else []
+
+    @cached_property
+    def _has_inverse(self) -> bool:
+        return any(transform.in_keys_inv for transform in self._transforms)
 
     def _frame(self, td: TensorDictBase) -> TensorDictBase:
         source = {key: td.get(key) for key in KEYS if key in td}

@@ -37,10 +37,16 @@ def lane_linear(x: Tensor, weight: Tensor, trial: Tensor) -> Tensor:
         rows = weight.index_select(0, trial.reshape(-1))
         flat = torch.bmm(rows, x.reshape(-1, x.shape[-1], 1))
         return flat.reshape(*x.shape[:-1], weight.shape[1])
-    flat = _LaneLinear.apply(
-        x.reshape(-1, x.shape[-1]).contiguous(), weight, trial.reshape(-1).contiguous()
-    )
+    rows = x.reshape(-1, x.shape[-1]).contiguous(), weight, trial.reshape(-1).contiguous()
+    differentiate = torch.is_grad_enabled() and weight.requires_grad
+    flat = _LaneLinear.apply(*rows) if differentiate else _apply(*rows)
     return flat.reshape(*x.shape[:-1], weight.shape[1])  # type: ignore[union-attr]
+
+
+def _apply(x: Tensor, weight: Tensor, trial: Tensor) -> Tensor:
+    out = x.new_empty(len(x), weight.shape[1])
+    _forward(x.numpy(), weight.detach().contiguous().numpy(), trial.numpy(), out.numpy())
+    return out
 
 
 class _LaneLinear(torch.autograd.Function):
@@ -48,10 +54,7 @@ class _LaneLinear(torch.autograd.Function):
     def forward(ctx: Any, x: Tensor, weight: Tensor, trial: Tensor) -> Tensor:
         ctx.save_for_backward(x, trial)
         ctx.weight_shape = weight.shape
-        out = x.new_empty(len(x), weight.shape[1])
-        weight = weight.detach().contiguous()
-        _forward(x.numpy(), weight.numpy(), trial.numpy(), out.numpy())
-        return out
+        return _apply(x, weight, trial)
 
     @staticmethod
     @once_differentiable

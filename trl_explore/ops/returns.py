@@ -32,18 +32,20 @@ def return_to_go(
         >>> return_to_go(torch.tensor([1.0, 1.0, 4.0]), done, 0.5).tolist()
         [1.5, 1.0, 4.0]
     """
-    if trial is not None and fits(reward):
+    if fits(reward):
+        if trial is None:
+            rows = torch.arange(reward.shape[:-1].numel()).unsqueeze(-1)
+            trial = rows.expand(-1, reward.shape[-1]).reshape(-1)
         out = torch.empty(reward.shape, dtype=reward.dtype)
-        reward, done, trial = reward.detach().contiguous(), done.contiguous(), trial.contiguous()
-        frames = (reward.numpy(), done.numpy(), out.numpy(), trial.numpy())
-        by_trial(_flat, frames, (gamma,))
+        frames = (reward.detach().reshape(-1), done.reshape(-1), out.view(-1), trial.contiguous())
+        by_trial(_flat, [column.numpy() for column in frames], (gamma,))
         return out
     if trial is not None:
         done = done.clone()
         done[:-1] |= trial[1:] != trial[:-1]
     going = (~done).to(reward.dtype)
     out = torch.empty_like(reward)
-    after = torch.zeros_like(reward[..., 0])
+    after = reward.new_zeros(reward.shape[:-1])
     for t in reversed(range(reward.shape[-1])):
         after = reward[..., t] + gamma * going[..., t] * after
         out[..., t] = after

@@ -56,7 +56,7 @@ class Strategy(TensorDictModuleBase):
         super().__init__()
         if isinstance(spec, Composite):
             spec = spec[action_key]
-        if spec is not None and not isinstance(spec, Categorical | OneHot):
+        if spec is not None and type(spec) not in (Categorical, OneHot):
             raise ValueError(
                 f"a strategy serves Categorical and OneHot action specs, got {type(spec).__name__}"
             )

@@ -60,20 +60,24 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
         >>> mixture_probs(torch.tensor([0.0, 4.0, -1.0, 4.0]), Mixture(greedy=0.8, uniform=0.2))
         tensor([0.0500, 0.4500, 0.0500, 0.4500])
     """
-    probs = torch.zeros_like(logits)
+    terms = []
     largest = logits.amax(-1, keepdim=True)
     if _any(mixture.greedy):
         best = (logits == largest).to(logits.dtype)
-        probs = probs + mixture.greedy * (best / best.sum(-1, keepdim=True))
+        terms.append(mixture.greedy * (best / best.sum(-1, keepdim=True)))
     if _any(mixture.softmax):
-        # Subtracting first keeps the quotient from overflowing as T → 0.
-        tiny = torch.finfo(logits.dtype).tiny
-        temperature = torch.as_tensor(mixture.temperature, dtype=logits.dtype).clamp(min=tiny)
-        probs = probs + mixture.softmax * torch.softmax((logits - largest) / temperature, -1)
+        # Subtracting first, and T within the dtype's range, keep the quotient from overflowing.
+        limits = torch.finfo(logits.dtype)
+        temperature = mixture.temperature
+        if isinstance(temperature, Tensor):
+            temperature = temperature.clamp(limits.tiny, limits.max)
+        else:
+            temperature = min(max(float(temperature), limits.tiny), limits.max)
+        terms.append(mixture.softmax * torch.softmax((logits - largest) / temperature, -1))
     if _any(mixture.uniform):
         legal = (logits != -torch.inf).to(logits.dtype)
-        probs = probs + mixture.uniform * (legal / legal.sum(-1, keepdim=True))
-    return probs
+        terms.append(mixture.uniform * (legal / legal.sum(-1, keepdim=True)))
+    return sum(terms[1:], start=terms[0])
 
 
 def _any(weight: Value | Tensor) -> bool:
