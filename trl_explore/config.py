@@ -27,7 +27,7 @@ CONF = Path(__file__).resolve().parent.parent / "conf"
 GROUPS = ("env", "policy", "strategy", "loss", "optimizer", "collector")
 FREE = ("env.kwargs",)
 """Keys below which anything may be added."""
-INERT = ("output_dir", "restart", "threads", "episodes")
+INERT = ("output_dir", "restart", "threads", "episodes", "collector.threads")
 """Keys that change no result: they are not part of a job's name or identity."""
 
 
@@ -57,7 +57,7 @@ def _job_name(*, _root_: DictConfig) -> str:
 
 
 def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
-    """The strategy, and every value that differs from the files in ``conf/``.
+    """The strategy with its parameters, and every other value that differs from ``conf/``.
 
     Named by resolved values, so that ``temperature=1`` and ``temperature=1.0`` are one job, and
     different configurations never share a folder: ``epsilon_greedy,epsilon=0.1,seed=3``.
@@ -69,12 +69,15 @@ def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
         for group in GROUPS
         if group != "strategy" and choices[group] != _default_choices()[group]
     ]
-    for key, default in sorted(_leaves(defaults, config).items()):
-        value = OmegaConf.select(config, key)
-        if key.split(".")[0] not in INERT and not _same(value, default):
-            if isinstance(default, float) and isinstance(value, int):
-                value = float(value)
-            parts.append(f"{key.removeprefix('strategy.')}={value}")
+    leaves = _leaves(defaults, config)
+    for key in sorted(leaves, key=lambda key: (not key.startswith("strategy."), key)):
+        value, default = OmegaConf.select(config, key), leaves[key]
+        shown_always = key.startswith("strategy.") and not key.startswith("strategy._")
+        if key in INERT or (_same(value, default) and not shown_always):
+            continue
+        if isinstance(default, float) and isinstance(value, int):
+            value = float(value)
+        parts.append(f"{key.removeprefix('strategy.')}={value}")
     name = quote(",".join(parts), safe="=,.+-_[] ").replace(" ", "")
     if len(name) <= 200:
         return name
@@ -120,17 +123,20 @@ def _leaves(defaults: DictConfig, config: DictConfig) -> dict[str, Any]:
             if isinstance(child, DictConfig):
                 walk(child, f"{key}.")
             else:
-                leaves[key] = _select(defaults, key)
+                leaves[key] = _default(defaults, config, key)
 
     walk(config, "")
     return leaves
 
 
-def _select(defaults: DictConfig, key: str) -> Any:
-    try:
-        return OmegaConf.select(defaults, key, throw_on_missing=False)
-    except OmegaConfBaseException:
+def _default(defaults: DictConfig, config: DictConfig, key: str) -> Any:
+    """The value that ``conf/`` gives a key; where it points to another key, that one's value."""
+    parent, _, name = key.rpartition(".")
+    node = OmegaConf.select(defaults, parent, throw_on_missing=False) if parent else defaults
+    if not isinstance(node, DictConfig) or name not in node or OmegaConf.is_missing(node, name):
         return None
+    pointer = re.fullmatch(r"\$\{([\w.]+)\}", str(OmegaConf.to_container(node)[name]))  # type: ignore[index]
+    return OmegaConf.select(config, pointer[1]) if pointer else node[name]
 
 
 # Checks
@@ -180,7 +186,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = ""
     """The keys in which two resolved configurations would give different results."""
     found: list[str] = []
     for key in sorted({*old, *new}):
-        if not prefix and key in INERT:
+        if f"{prefix}{key}" in INERT:
             continue
         a, b = old.get(key), new.get(key)
         if isinstance(a, Mapping) and isinstance(b, Mapping):
