@@ -18,7 +18,8 @@ NOISE_STEPS = 128
 """How many steps of action noise are drawn at a time."""
 
 KEYS = ("trial", "observation", "action", "action_log_prob", "action_mask")
-NEXT_KEYS = ("reward", "done", "terminated", "truncated", "step_count", "episode_reward")
+SIGNALS = ("reward", "done", "terminated", "truncated")
+NEXT_KEYS = (*SIGNALS, "step_count", "episode_reward")
 
 
 class TorchRLCollector(EpisodeCollector):
@@ -62,6 +63,10 @@ class TorchRLCollector(EpisodeCollector):
         if self._has_inverse:
             return self.env.step(td).get("next")
         after = self.env.base_env._step(td)
+        for name in SIGNALS:
+            signal = after.get(name)
+            if signal.ndim == 1:
+                after.set(name, signal.unsqueeze(-1))
         for transform in self._transforms:
             after = transform._step(td, after)
         return after

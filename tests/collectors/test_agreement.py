@@ -1,0 +1,117 @@
+"""The fused collector against the TorchRL collector: the same trials."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+from tensordict.nn import TensorDictSequential
+
+from trl_explore.collectors import FusedCollector, TorchRLCollector
+from trl_explore.envs import make_env
+from trl_explore.policy import LinearPolicy
+from trl_explore.strategies import EpsilonGreedy, MixtureStrategy, Softmax
+
+CONF = Path(__file__).resolve().parents[2] / "conf"
+STRATEGIES = sorted(path.stem for path in (CONF / "strategy").glob("*.yaml"))
+ENVS = {
+    "cartpole": {"id": "CartPole-v1"},
+    "lake": {"id": "FrozenLake-v1", "kwargs": {"map_name": "8x8"}},
+    "short": {"id": "CartPole-v1", "max_steps": 12},
+}
+
+
+def build(collector, env: dict, strategy, trials: int, seed: int = 4, first_trial: int = 0):
+    made = make_env(trials=trials, seed=seed, first_trial=first_trial, **env)
+    policy = LinearPolicy(made, seed=seed, first_trial=first_trial)
+    return collector(made, TensorDictSequential(policy, strategy)), policy
+
+
+def from_file(name: str):
+    return instantiate(OmegaConf.load(CONF / "strategy" / f"{name}.yaml"))
+
+
+def assert_same(fused, reference, rtol: float = 1e-5) -> None:
+    """Equal frame by frame; the message names the first difference."""
+    keys = set(reference.keys(True, True))
+    assert set(fused.keys(True, True)) == keys
+    n = min(len(fused), len(reference))
+    for name in sorted(keys, key=str):
+        ours, theirs = fused[name][:n], reference[name][:n]
+        assert ours.dtype == theirs.dtype, name
+        assert ours.shape == theirs.shape, name
+        exact = name != "action_log_prob"
+        differ = (ours != theirs) if exact else ~torch.isclose(ours, theirs, rtol=rtol, atol=1e-6)
+        if differ.any():
+            frame = int(differ.reshape(n, -1).any(1).nonzero()[0])
+            pytest.fail(
+                f"{name} differs first in frame {frame}: trial {int(reference['trial'][frame])}, "
+                f"step {int(reference['next', 'step_count'][frame])}: "
+                f"{ours[frame].tolist()} against {theirs[frame].tolist()}"
+            )
+    assert len(fused) == len(reference)
+
+
+@pytest.mark.parametrize("env", ENVS)
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_the_same_episodes(name, env):
+    """Hundreds of episodes of every strategy file, while the weights move."""
+    trials = 40
+    strategies = from_file(name), from_file(name)
+    if not isinstance(strategies[0], MixtureStrategy):
+        pytest.skip(f"{name} is outside the family that the fused collector compiles")
+    fused, policy = build(FusedCollector, ENVS[env], strategies[0], trials)
+    reference, other = build(TorchRLCollector, ENVS[env], strategies[1], trials)
+    assert torch.equal(policy.weight, other.weight)
+    draws = torch.Generator().manual_seed(0)
+    active = np.ones(trials, dtype=np.bool_)
+    for iteration in range(6):
+        assert_same(fused.collect(active), reference.collect(active))
+        with torch.no_grad():
+            move = torch.randn(policy.weight.shape, generator=draws)
+            policy.weight.add_(move)
+            other.weight.add_(move)
+        for strategy in strategies:
+            strategy.step()
+        active[iteration::5] = False
+        if not active.any():
+            break
+
+
+@pytest.mark.parametrize("temperature", [1e-30, 0.3, 3.0, 1e30])
+def test_the_same_at_any_temperature(temperature):
+    fused, _ = build(FusedCollector, ENVS["cartpole"], Softmax(temperature), 30)
+    reference, _ = build(TorchRLCollector, ENVS["cartpole"], Softmax(temperature), 30)
+    assert_same(fused.collect(), reference.collect())
+
+
+def test_one_batch_holds_trials_with_different_epsilon():
+    """Each trial of a mixed batch is the trial of a batch with its own ε."""
+    epsilons = [0.0, 0.25, 0.5, 1.0]
+    mixed, _ = build(FusedCollector, ENVS["cartpole"], EpsilonGreedy(epsilons), 4)
+    reference, _ = build(TorchRLCollector, ENVS["cartpole"], EpsilonGreedy(epsilons), 4)
+    data = mixed.collect()
+    assert_same(data, reference.collect())
+    for trial, epsilon in enumerate(epsilons):
+        alone, _ = build(FusedCollector, ENVS["cartpole"], EpsilonGreedy(epsilon), 4)
+        frames = alone.collect()
+        ours, theirs = data[data["trial"] == trial], frames[frames["trial"] == trial]
+        assert torch.equal(ours["action"], theirs["action"])
+        assert torch.equal(ours["action_log_prob"], theirs["action_log_prob"])
+
+
+def test_ties_share():
+    """With equal logits argmax is a coin, in both collectors the same one."""
+    from trl_explore.strategies import Argmax
+
+    pairs = [build(c, ENVS["cartpole"], Argmax(), 50) for c in (FusedCollector, TorchRLCollector)]
+    for _, policy in pairs:
+        policy.weight.data.zero_()
+    data = pairs[0][0].collect()
+    assert_same(data, pairs[1][0].collect())
+    assert 0.4 < data["action"].float().mean() < 0.6
+    assert torch.allclose(data["action_log_prob"], torch.tensor(0.5).log())

@@ -1,0 +1,368 @@
+"""What every collector must satisfy; a new collector joins the list and passes."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torchrl.collectors import BaseCollector
+from torchrl.envs.utils import ExplorationType
+
+from trl_explore.collectors import EpisodeCollector, FusedCollector, TorchRLCollector
+from trl_explore.envs import make_env
+from trl_explore.policy import LinearPolicy
+from trl_explore.strategies import (
+    Argmax,
+    DecayingEpsilonGreedy,
+    EpsilonGreedy,
+    Random,
+    Softmax,
+    inverse_cdf,
+)
+from trl_explore.streams import Stream, generator
+
+COLLECTORS = [TorchRLCollector, FusedCollector]
+STRATEGIES = [
+    Random,
+    Argmax,
+    EpsilonGreedy,
+    DecayingEpsilonGreedy,
+    Softmax,
+    lambda: Softmax(temperature=[0.3, 1.0, 2.0, 4.0]),
+]
+TRIALS = 4
+
+
+@pytest.fixture(params=COLLECTORS)
+def kind(request) -> type[EpisodeCollector]:
+    return request.param
+
+
+def build(
+    kind, strategy=None, trials=TRIALS, *, seed=0, first_trial=0, max_steps=500, **options
+) -> EpisodeCollector:
+    torch.set_num_threads(1)
+    env = make_env("CartPole-v1", trials, max_steps, seed=seed, first_trial=first_trial)
+    policy = LinearPolicy(env, seed=seed, first_trial=first_trial)
+    strategy = Softmax() if strategy is None else strategy
+    return kind(env, TensorDictSequential(policy, strategy), **options)
+
+
+def collect(collector, *active: bool) -> dict[str, torch.Tensor]:
+    """A copy of the frames: the collector may reuse its memory. Flat names."""
+    data = collector.collect(np.array(active) if active else None)
+    return {
+        name: value.clone() for name, value in data.flatten_keys(".").items() if value is not None
+    }
+
+
+def same(one: dict[str, torch.Tensor], two: dict[str, torch.Tensor]) -> bool:
+    return one.keys() == two.keys() and all(torch.equal(one[name], two[name]) for name in one)
+
+
+def of(data: dict[str, torch.Tensor], trial: int) -> dict[str, torch.Tensor]:
+    """One trial's frames, without the number of its row."""
+    rows = data["trial"] == trial
+    return {name: value[rows] for name, value in data.items() if name != "trial"}
+
+
+def set_weights(collector, weight: torch.Tensor) -> None:
+    with torch.no_grad():
+        collector.policy[0].weight.copy_(weight)
+
+
+def test_it_is_a_torchrl_collector(kind):
+    assert issubclass(kind, EpisodeCollector)
+    assert issubclass(kind, BaseCollector)
+
+
+def test_entries(kind):
+    collector = build(kind)
+    data = collector.collect()
+    frames = len(data)
+    assert data.batch_size == (frames,)
+    expected = {
+        "trial": ((frames,), torch.int64),
+        "observation": ((frames, 4), torch.float32),
+        "action": ((frames,), torch.int64),
+        "action_log_prob": ((frames,), torch.float32),
+        "next.reward": ((frames, 1), torch.float32),
+        "next.done": ((frames, 1), torch.bool),
+        "next.terminated": ((frames, 1), torch.bool),
+        "next.truncated": ((frames, 1), torch.bool),
+        "next.step_count": ((frames, 1), torch.int64),
+        "next.episode_reward": ((frames, 1), torch.float32),
+    }
+    flat = data.flatten_keys(".")
+    assert {name: (tuple(v.shape), v.dtype) for name, v in flat.items()} == expected
+    assert not any(value.requires_grad for value in flat.values())
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_one_whole_episode_of_every_active_trial(kind, strategy):
+    collector = build(kind, strategy(), max_steps=40)
+    for active in ([True] * 4, [True, False, True, True], [False, False, False, True]):
+        data = collect(collector, *active)
+        trial, done = data["trial"], data["next.done"][:, 0]
+        assert trial.unique().tolist() == np.flatnonzero(active).tolist()
+        assert (trial.diff() >= 0).all()  # contiguous and ascending
+        ends = done.nonzero()[:, 0]
+        assert trial[ends].tolist() == np.flatnonzero(active).tolist()
+        lengths = trial.unique(return_counts=True)[1]
+        assert torch.equal(ends, lengths.cumsum(0) - 1)  # each ends with done, and only there
+        assert torch.equal(data["next.step_count"][ends, 0], lengths)
+        assert torch.equal(data["next.done"], data["next.terminated"] | data["next.truncated"])
+        for k in np.flatnonzero(active).tolist():
+            episode = of(data, k)
+            length = len(episode["action"])
+            assert episode["next.step_count"][:, 0].tolist() == list(range(1, length + 1))
+            total = episode["next.reward"].cumsum(0)
+            assert torch.equal(episode["next.episode_reward"], total)
+            assert episode["next.truncated"][-1].item() == (length == 40)
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_every_frame_is_the_episode_of_its_stream(kind, strategy):
+    """Noise, action, log-probability, dynamics, reward and flags, replayed one by one."""
+    seed, first_trial = 5, 3
+    strategy = strategy()
+    collector = build(kind, strategy, seed=seed, first_trial=first_trial, max_steps=60)
+    for episode in range(3):
+        data = collect(collector)
+        for k in range(TRIALS):
+            mine = of(data, k)
+            stream = (first_trial + k, episode)
+            other = gym.make("CartPole-v1", max_episode_steps=60)
+            other.unwrapped.np_random = generator(seed, Stream.ENVIRONMENT, *stream)
+            noise = torch.from_numpy(
+                generator(seed, Stream.ACTION, *stream).random(len(mine["action"]))
+            )
+            logits = mine["observation"] @ collector.policy[0].weight[k].detach().t()
+            rows = torch.full((len(logits),), k)
+            probs = strategy.probs(logits, rows)
+            drawn = probs.gather(1, mine["action"].unsqueeze(1)).squeeze(1)
+            assert (drawn > 0).all()
+            torch.testing.assert_close(mine["action_log_prob"], drawn.log(), rtol=1e-4, atol=1e-5)
+            assert torch.equal(mine["action"], inverse_cdf(probs, noise))
+            observation = other.reset()[0]
+            for t, action in enumerate(mine["action"].tolist()):
+                np.testing.assert_allclose(
+                    mine["observation"][t].numpy(), observation, rtol=1e-4, atol=1e-5
+                )
+                observation, reward, terminated, truncated, _ = other.step(action)
+                assert mine["next.reward"][t].item() == reward
+                assert mine["next.terminated"][t].item() == terminated
+                assert mine["next.truncated"][t].item() == truncated
+        strategy.step()
+
+
+def test_long_episodes_use_fresh_noise_to_their_end(kind):
+    """Episodes that reach 500 steps: the noise does not repeat, whatever its block size."""
+    collector = build(kind, EpsilonGreedy(0.1), trials=2)
+    # Pushing towards the side where the pole falls keeps it up.
+    push = torch.tensor([0.05, 0.5, 3.0, 1.0]) * 10
+    set_weights(collector, torch.stack([-push, push]).expand(2, 2, 4))
+    data = collect(collector)
+    for k in range(2):
+        mine = of(data, k)
+        length = len(mine["action"])
+        assert length > 300
+        noise = torch.from_numpy(generator(0, Stream.ACTION, k, 0).random(length))
+        logits = mine["observation"] @ collector.policy[0].weight[k].detach().t()
+        probs = EpsilonGreedy(0.1).probs(logits)
+        assert torch.equal(mine["action"], inverse_cdf(probs, noise))
+
+
+def test_parameters_are_those_at_the_start_of_the_episode(kind):
+    """Changing weights or ε between two calls changes all of the next frames, and only them."""
+    strategy = DecayingEpsilonGreedy(0.5)
+    collector = build(kind, strategy)
+    push = torch.tensor([[0.0, 0.0, -1.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
+    for i, sign in enumerate((1.0, -1.0, 1.0, -1.0)):
+        set_weights(collector, (sign * push).expand(TRIALS, 2, 4))
+        data = collect(collector)
+        greedy = (data["observation"][:, 2] * sign > 0).long()
+        epsilon = 0.5**i
+        expected = torch.where(data["action"] == greedy, 1 - epsilon / 2, epsilon / 2).log()
+        torch.testing.assert_close(data["action_log_prob"], expected)
+        assert int(strategy.iteration) == i  # the schedule is the trainer's to advance
+        strategy.step()
+
+
+def test_collecting_changes_no_parameter(kind):
+    collector = build(kind)
+    before = collector.policy[0].weight.detach().clone()
+    collector.collect()
+    assert torch.equal(collector.policy[0].weight, before)
+    assert collector.policy[0].weight.grad is None
+
+
+def test_stopped_trials_are_absent_and_wait(kind):
+    collector, undisturbed = build(kind), build(kind)
+    everything = [collect(undisturbed) for _ in range(3)]
+    first = collect(collector)
+    for _ in range(2):
+        part = collect(collector, True, False, True, False)
+        assert part["trial"].unique().tolist() == [0, 2]
+    last = collect(collector)
+    assert same(first, everything[0])
+    assert collector.episodes.tolist() == [4, 2, 4, 2]
+    for k in (0, 2):
+        assert same(of(part, k), of(everything[2], k))
+    for k in (1, 3):
+        assert same(of(last, k), of(everything[1], k))
+
+
+def test_an_environment_that_was_used_before(kind):
+    """What somebody else began in a lane is no part of the data."""
+    collector = build(kind)
+    collector.env.rollout(2)
+    collector.env.reset()
+    part = collect(collector, False, True, False, False)
+    assert part["trial"].unique().tolist() == [1]
+    assert same(of(part, 1), of(collect(build(kind)), 1))
+
+
+def test_a_trial_is_the_same_wherever_it_stands(kind):
+    together = build(kind, trials=9, seed=3)
+    batches = [collect(together) for _ in range(2)]
+    for k in (0, 4, 8):
+        alone = build(kind, trials=1, seed=3, first_trial=k)
+        for batch in batches:
+            assert same(of(collect(alone), 0), of(batch, k))
+
+
+def test_a_trial_does_not_feel_a_broken_neighbour(kind):
+    sound, broken = build(kind), build(kind)
+    with torch.no_grad():
+        broken.policy[0].weight[1] = torch.nan
+    one, two = collect(sound), collect(broken)
+    for k in (0, 2, 3):
+        assert same(of(one, k), of(two, k))
+
+
+def test_seeds(kind):
+    zero, one = collect(build(kind, seed=0)), collect(build(kind, seed=1))
+    starts = [
+        tuple(of(data, k)["observation"][0].tolist()) for data in (zero, one) for k in range(TRIALS)
+    ]
+    assert len(set(starts)) == len(starts)
+    assert same(zero, collect(build(kind, seed=0)))
+
+
+def test_set_seed_starts_again(kind):
+    collector, other = build(kind, seed=0), build(kind, seed=8)
+    set_weights(collector, other.policy[0].weight.detach())
+    collector.collect()
+    assert collector.set_seed(8) == 9
+    for _ in range(2):
+        assert same(collect(collector), collect(other))
+    assert collector.set_seed(8, static_seed=True) == 8
+    assert collector.set_seed(0) == 1
+    with pytest.raises(ValueError, match="seed must be a non-negative integer"):
+        collector.set_seed(-1)
+
+
+def test_a_state_dict_goes_on_where_it_was_taken(kind):
+    collector = build(kind, DecayingEpsilonGreedy(0.9), seed=2)
+    set_weights(collector, torch.randn(TRIALS, 2, 4, generator=torch.Generator().manual_seed(0)))
+    for active in ([True] * 4, [True, True, False, True]):
+        collector.collect(np.array(active))
+        collector.strategy.step()
+    state = {
+        key: value.clone() if isinstance(value, torch.Tensor) else value
+        for key, value in collector.state_dict().items()
+    }
+    expected = [collect(collector) for _ in range(2)]
+    other = build(kind, DecayingEpsilonGreedy(0.9), seed=77)
+    other.collect()
+    other.load_state_dict(state)
+    assert int(other.strategy.iteration) == 2
+    assert [same(collect(other), data) for data in expected] == [True, True]
+    assert other.frames == collector.frames
+
+
+def test_a_state_dict_is_a_snapshot(kind):
+    collector = build(kind)
+    collector.collect()
+    episodes = collector.state_dict()["episodes"]
+    collector.collect()
+    assert episodes.tolist() == [1] * TRIALS
+
+
+def test_iteration_ends_at_total_frames(kind):
+    collector = build(kind)
+    counts = [len(collector.collect()) for _ in range(4)]
+    collector = build(kind, total_frames=counts[0] + counts[1] + 1)
+    delivered = [len(data) for data in collector]
+    assert delivered == counts[:3]
+    assert collector.frames == sum(counts[:3])
+    exact = build(kind, total_frames=counts[0] + counts[1])
+    assert [len(data) for data in exact] == counts[:2]
+
+
+def test_iteration_without_a_limit_goes_on(kind):
+    collector = build(kind)
+    for count, _ in zip(range(1, 6), collector, strict=False):
+        assert collector.episodes.tolist() == [count] * TRIALS
+
+
+@pytest.mark.parametrize("mode", ["MODE", "MEAN", "DETERMINISTIC"])
+def test_without_exploration_the_policy_decides(kind, mode):
+    collector = build(kind, Random(), exploration_type=ExplorationType[mode])
+    data = collect(collector)
+    weight = collector.policy[0].weight.detach()[data["trial"]]
+    logits = (weight @ data["observation"].unsqueeze(-1)).squeeze(-1)
+    assert torch.equal(data["action"], logits.argmax(-1))
+    assert (data["action_log_prob"] == 0).all()
+
+
+def test_exploration_is_the_default(kind):
+    data = collect(build(kind, Random()))
+    torch.testing.assert_close(
+        data["action_log_prob"], torch.full_like(data["action_log_prob"], -np.log(2))
+    )
+
+
+def test_shutdown_closes_the_environment(kind):
+    collector = build(kind)
+    collector.collect()
+    collector.shutdown()
+    assert collector.env.is_closed
+    collector.shutdown()  # again is no error
+    kept = build(kind)
+    kept.collect()
+    kept.shutdown(close_env=False)
+    assert not kept.env.is_closed
+
+
+def test_repr_names_what_it_collects(kind):
+    assert repr(build(kind)) == f"{kind.__name__}(env=CartPole-v1, trials=4)"
+
+
+@pytest.mark.parametrize("active", [[True] * 3, [[True] * 4], [False] * 4, []])
+def test_a_wrong_active_is_refused(kind, active):
+    with pytest.raises(ValueError, match=r"active must be a bool array \[4\] with a true entry"):
+        build(kind).collect(np.array(active, dtype=np.bool_))
+
+
+def test_a_policy_without_a_strategy_is_refused(kind):
+    env = make_env("CartPole-v1", TRIALS)
+    last = TensorDictModule(torch.nn.Identity(), ["logits"], ["action"])
+    with pytest.raises(ValueError, match=r"TensorDictSequential\(policy, strategy\)"):
+        kind(env, TensorDictSequential(LinearPolicy(env), last))
+
+
+def test_a_parameter_per_trial_must_fit_the_trials(kind):
+    with pytest.raises(ValueError, match="one value per trial has 3; there are 4 trials"):
+        build(kind, EpsilonGreedy([0.1, 0.2, 0.3]))
+
+
+def test_another_environment_is_refused(kind):
+    from torchrl.envs import GymEnv
+
+    env = make_env("CartPole-v1", TRIALS)
+    with pytest.raises(ValueError, match="has no lanes"):
+        kind(GymEnv("CartPole-v1"), TensorDictSequential(LinearPolicy(env), Softmax()))

@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torchrl.envs import RewardScaling
+
+from trl_explore.collectors import FusedCollector, NotCompilableError, auto_collector
+from trl_explore.collectors import fused as module
+from trl_explore.collectors.loop import scratch
+from trl_explore.envs import make_env
+from trl_explore.kernels import Kernel, kernel_of, register_kernel
+from trl_explore.kernels.base import kernel_function
+from trl_explore.kernels.philox import random
+from trl_explore.policy import LinearPolicy
+from trl_explore.strategies import Softmax, Strategy
+
+
+class Outside(Strategy):
+    """A strategy that is no mixture."""
+
+    def probs(self, logits, trial=None):
+        return torch.softmax(-logits, -1)
+
+
+def build(env, strategy=None, **options) -> FusedCollector:
+    policy = LinearPolicy(env)
+    return FusedCollector(env, TensorDictSequential(policy, strategy or Softmax()), **options)
+
+
+def test_it_refuses_what_it_cannot_compile():
+    with pytest.raises(NotCompilableError, match="Outside is not a mixture"):
+        build(make_env(trials=2), Outside())
+    with pytest.raises(NotCompilableError, match="no kernel is registered for AcrobotEnv"):
+        build(make_env("Acrobot-v1", trials=2))
+    scaled = make_env(trials=2)
+    scaled.append_transform(RewardScaling(0.0, 2.0))
+    with pytest.raises(NotCompilableError, match="the transform RewardScaling"):
+        build(scaled)
+    env = make_env(trials=2)
+    foreign = TensorDictModule(torch.nn.Linear(4, 2), ["observation"], ["logits"])
+    with pytest.raises(NotCompilableError, match="the policy is not a LinearPolicy"):
+        FusedCollector(env, TensorDictSequential(foreign, Softmax()))
+
+
+def test_a_foreign_wrapper_is_refused(monkeypatch):
+    env = make_env(trials=2)
+    lane = env.base_env._env
+    lane.envs[0] = gym.wrappers.ClipReward(lane.envs[0], 0, 1)
+    with pytest.raises(NotCompilableError, match="the wrapper ClipReward"):
+        build(env)
+
+
+def test_auto_falls_back_and_says_why(caplog):
+    caplog.set_level("INFO", logger="trl_explore")
+    env = make_env(trials=2)
+    collector = auto_collector(env, TensorDictSequential(LinearPolicy(env), Outside()))
+    assert type(collector).__name__ == "TorchRLCollector"
+    assert len(caplog.messages) == 1
+    assert "Outside is not a mixture" in caplog.messages[0]
+    env = make_env(trials=2)
+    collector = auto_collector(env, TensorDictSequential(LinearPolicy(env), Softmax()))
+    assert type(collector).__name__ == "FusedCollector"
+    assert caplog.messages[1:] == ["collector: fused"]
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_threads_change_nothing(threads, monkeypatch):
+    monkeypatch.setattr(module, "MIN_TRIALS", 5)
+    one = build(make_env(trials=47))
+    many = build(make_env(trials=47), threads=threads)
+    active = np.arange(47) % 4 != 2
+    for _ in range(3):
+        ours, theirs = many.collect(active), one.collect(active)
+        for name in theirs.keys(True, True):
+            assert torch.equal(ours[name], theirs[name]), name
+
+
+def test_memory_is_reused_and_grows():
+    collector = build(make_env(trials=3))
+    collector.policy[0].weight.data[:, 0] = torch.tensor([0.0, -1.0, -8.0, -3.0])
+    collector.policy[0].weight.data[:, 1] = 0
+    first = collector.collect()
+    assert len(first) > 3 * 64  # more than was reserved: it had to grow, and lost nothing
+    assert (first["next", "step_count"].squeeze(-1).diff()[first["trial"].diff() == 0] == 1).all()
+    address = first["observation"].data_ptr()
+    assert collector.collect()["observation"].data_ptr() == address
+
+
+def test_the_scratch_of_long_episodes_stays_small():
+    kernel = kernel_of(gym.make("CartPole-v1"))
+    assert len(scratch(kernel, 500)[4]) == 16
+    assert len(scratch(kernel, 10**6)[4]) == 1
+
+
+class Corridor(gym.Env):
+    """Walk right to the end of a corridor with a slippery floor."""
+
+    def __init__(self, length: int = 7) -> None:
+        self.length = length
+        self.action_space = spaces.Discrete(2)
+        self.observation_space = spaces.Box(0, np.inf, (2,), np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.place = int(3 * self.np_random.random())
+        return self.observe(), {}
+
+    def step(self, action):
+        slip = self.np_random.random() < 0.2
+        self.place = max(0, self.place + (1 if (action == 1) != slip else -1))
+        return self.observe(), -1.0, self.place >= self.length, False, {}
+
+    def observe(self):
+        return np.array([self.place, 1], dtype=np.float32)
+
+
+@kernel_function
+def corridor_reset(parameters, state, rng):
+    state[0] = int(3 * random(rng))
+
+
+@kernel_function
+def corridor_step(parameters, state, action, rng):
+    slip = random(rng) < 0.2
+    state[0] = max(0.0, state[0] + (1 if (action == 1) != slip else -1))
+    return -1.0, state[0] >= parameters[0]
+
+
+@kernel_function
+def corridor_observe(parameters, state, observation):
+    observation[0], observation[1] = state[0], 1
+
+
+@register_kernel(Corridor)
+def corridor(env: Corridor) -> Kernel:
+    parameters = (env.length,)
+    functions = corridor_reset, corridor_step, corridor_observe
+    return Kernel(*functions, parameters, state_size=1, n_features=2, n_actions=2)
+
+
+def test_an_environment_of_ones_own():
+    """The 30 lines of the docs: a kernel beside an environment, and both collectors agree."""
+    from tests.collectors.test_agreement import assert_same
+    from tests.collectors.test_agreement import build as build_pair
+    from trl_explore.collectors import TorchRLCollector
+
+    gym.register("Corridor-v0", entry_point=Corridor, max_episode_steps=60)
+    try:
+        env = {"id": "Corridor-v0", "kwargs": {"length": 9}}
+        fused, _ = build_pair(FusedCollector, env, Softmax(), 25)
+        reference, _ = build_pair(TorchRLCollector, env, Softmax(), 25)
+        for _ in range(4):
+            data = fused.collect()
+            assert_same(data, reference.collect())
+        assert data["next", "terminated"].any()
+    finally:
+        gym.registry.pop("Corridor-v0")

@@ -1,0 +1,156 @@
+import numpy as np
+import pytest
+import torch
+
+from trl_explore.ops import lane_linear
+
+
+def plain(x, weight, trial):
+    """The formula, frame by frame."""
+    frames = [weight[k] @ row for row, k in zip(x, trial.tolist(), strict=True)]
+    return torch.stack(frames)
+
+
+def problem(frames=40, trials=5, n_out=3, n_in=4, dtype=torch.float64):
+    torch.manual_seed(0)
+    x = torch.randn(frames, n_in, dtype=dtype)
+    weight = torch.randn(trials, n_out, n_in, dtype=dtype)
+    return x, weight, torch.randint(trials, (frames,))
+
+
+def test_by_hand():
+    x = torch.tensor([[1.0, 2.0], [3.0, 4.0], [1.0, 0.0]])
+    weight = torch.tensor([[[1.0, 1.0], [0.0, 2.0]], [[10.0, 1.0], [-1.0, 0.5]]])
+    out = lane_linear(x, weight, torch.tensor([1, 0, 1]))
+    assert out.tolist() == [[12.0, 0.0], [7.0, 8.0], [10.0, -1.0]]
+
+
+def test_gradient_by_hand():
+    x = torch.tensor([[1.0, 2.0], [3.0, 4.0], [1.0, 0.0]])
+    weight = torch.zeros(3, 2, 2, requires_grad=True)
+    out = lane_linear(x, weight, torch.tensor([1, 0, 1]))
+    out.backward(torch.tensor([[1.0, 0.0], [2.0, -1.0], [10.0, 1.0]]))
+    assert weight.grad.tolist() == [
+        [[6.0, 8.0], [-3.0, -4.0]],
+        [[11.0, 2.0], [1.0, 0.0]],
+        [[0.0, 0.0], [0.0, 0.0]],
+    ]
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_both_paths_are_the_formula(compiled, dtype):
+    x, weight, trial = problem(dtype=dtype)
+    expected = plain(x.double(), weight.double(), trial)
+    out = lane_linear(x.requires_grad_(not compiled), weight, trial)
+    assert out.dtype == dtype
+    tolerance = 1e-5 if dtype == torch.float32 else 1e-13
+    torch.testing.assert_close(out.double(), expected, rtol=tolerance, atol=tolerance)
+
+
+def test_gradcheck_of_the_compiled_path():
+    x, weight, trial = problem(frames=6, trials=3)
+    assert torch.autograd.gradcheck(lambda w: lane_linear(x, w, trial), weight[:3].requires_grad_())
+
+
+def test_gradcheck_of_the_plain_path():
+    x, weight, trial = problem(frames=6, trials=3)
+    assert torch.autograd.gradcheck(
+        lambda x, w: lane_linear(x, w, trial), (x.requires_grad_(), weight[:3].requires_grad_())
+    )
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_gradients_of_both_paths_agree(dtype):
+    x, weight, trial = problem(frames=300, dtype=dtype)
+    upstream = torch.randn(300, 3, dtype=dtype)
+    gradients = []
+    for compiled in (True, False):
+        w = weight.clone().requires_grad_()
+        lane_linear(x.clone().requires_grad_(not compiled), w, trial).backward(upstream)
+        gradients.append(w.grad)
+    assert gradients[0].dtype == dtype
+    tolerance = 1e-4 if dtype == torch.float32 else 1e-12
+    torch.testing.assert_close(*gradients, rtol=tolerance, atol=tolerance)
+
+
+def test_a_gradient_in_float32_is_summed_in_float64():
+    torch.manual_seed(3)
+    x, upstream = torch.rand(20_000, 2), torch.rand(20_000, 1)
+    weight = torch.zeros(1, 1, 2, requires_grad=True)
+    lane_linear(x, weight, torch.zeros(20_000, dtype=torch.int64)).backward(upstream)
+    exact = (x.double() * upstream.double()).sum(0)
+    np.testing.assert_array_max_ulp(weight.grad[0, 0].numpy(), exact.float().numpy(), 1)
+
+
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
+def test_other_dtypes_take_the_plain_path(dtype):
+    x, weight, trial = (problem()[0].to(dtype), problem()[1].to(dtype), problem()[2])
+    out = lane_linear(x, weight, trial)
+    assert out.dtype == dtype
+    expected = plain(x.double(), weight.double(), trial)
+    torch.testing.assert_close(out.double(), expected, rtol=0.05, atol=0.1)
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (6,), (2, 3), (2, 1, 3), (0,), (0, 3)])
+@pytest.mark.parametrize("compiled", [True, False])
+def test_batch_shapes(batch, compiled):
+    x, weight, trial = torch.randn(*batch, 4), torch.randn(5, 3, 4), torch.randint(5, batch)
+    out = lane_linear(x.requires_grad_(not compiled), weight.requires_grad_(), trial)
+    assert out.shape == (*batch, 3)
+    expected = torch.einsum("foi,fi->fo", weight[trial.reshape(-1)], x.reshape(-1, 4))
+    torch.testing.assert_close(out.reshape(-1, 3), expected)
+    out.sum().backward()
+    assert weight.grad.shape == weight.shape
+
+
+def test_layout_in_memory_does_not_matter():
+    x, weight, trial = problem()
+    upstream = torch.randn(3, 40, dtype=torch.float64)
+    results = []
+    for contiguous in (True, False):
+        values = (x.T.contiguous().T, weight.mT.contiguous().mT, torch.stack([trial] * 2, 1)[:, 0])
+        xs, w, k = (v.contiguous() if contiguous else v for v in values)
+        w = w.detach().requires_grad_()
+        out = lane_linear(xs, w, k)
+        out.backward(upstream.T.contiguous() if contiguous else upstream.T)
+        results.append((out.detach(), w.grad))
+    assert torch.equal(results[0][0], results[1][0])
+    assert torch.equal(results[0][1], results[1][1])
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_lane_does_not_depend_on_its_neighbours(compiled):
+    x, weight, trial = problem(frames=400, trials=30, dtype=torch.float32)
+    upstream = torch.randn(400, 3)
+
+    def run(rows, weight, trial):
+        w = weight.clone().requires_grad_()
+        out = lane_linear(x[rows].requires_grad_(not compiled), w, trial)
+        out.backward(upstream[rows])
+        return out.detach(), w.grad
+
+    together, gradient = run(slice(None), weight, trial)
+    for lane in range(30):
+        rows = trial == lane
+        alone, own = run(rows, weight[[lane]], torch.zeros(int(rows.sum()), dtype=torch.int64))
+        assert torch.equal(alone, together[rows])
+        assert torch.equal(own[0], gradient[lane])
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("trial", [-1, 2])
+def test_a_trial_that_does_not_exist(trial, compiled):
+    # Compiled code would read, and on the way back write, beside the weights.
+    x, weight = torch.ones(3, 4), torch.ones(2, 3, 4)
+    with pytest.raises(IndexError):
+        lane_linear(x.requires_grad_(not compiled), weight, torch.tensor([0, trial, 1]))
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize(("features", "trials"), [(3, 3), (5, 3), (4, 2)])
+def test_shapes_that_do_not_fit(features, trials, compiled):
+    x, weight = torch.ones(3, features), torch.ones(2, 3, 4)
+    trial = torch.zeros(trials, dtype=torch.int64)
+    with pytest.raises((ValueError, RuntimeError, IndexError)):
+        lane_linear(x.requires_grad_(not compiled), weight, trial)

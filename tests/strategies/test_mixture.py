@@ -1,0 +1,276 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trl_explore.schedules import Constant, Exponential, Linear
+from trl_explore.strategies import (
+    Argmax,
+    DecayingEpsilonGreedy,
+    EpsilonGreedy,
+    Mixture,
+    Random,
+    Softmax,
+    mixture_probs,
+)
+
+NEVER = -torch.inf
+PREFERENCES = torch.tensor([0.0, 4.0, -1.0, 4.0], dtype=torch.float64)
+
+finite_logits = st.lists(st.floats(-50, 50), min_size=1, max_size=6)
+unit = st.floats(0, 1)
+
+
+def close(probs, expected, **tolerance):
+    torch.testing.assert_close(probs, torch.tensor(expected, dtype=probs.dtype), **tolerance)
+
+
+# Numbers worked out by hand
+
+
+def test_argmax_shares_ties():
+    assert Argmax().probs(PREFERENCES).tolist() == [0, 0.5, 0, 0.5]
+    assert Argmax().probs(torch.tensor([1.0, 3.0, 2.0])).tolist() == [0, 1, 0]
+    close(Argmax().probs(torch.zeros(3)), [1 / 3] * 3)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_only_equal_preferences_are_ties(dtype):
+    most = torch.tensor(4.0, dtype=dtype)
+    almost = torch.nextafter(most, torch.zeros_like(most))
+    for logits in (torch.stack([almost, most]), torch.stack([-most, -almost])):
+        assert Argmax().probs(logits).tolist() == [0, 1]
+        close(EpsilonGreedy(0.2).probs(logits), [0.1, 0.9])
+
+
+def test_random_is_uniform():
+    assert Random().probs(PREFERENCES).tolist() == [0.25] * 4
+
+
+def test_epsilon_greedy():
+    close(EpsilonGreedy(0.2).probs(PREFERENCES), [0.05, 0.45, 0.05, 0.45])
+    close(EpsilonGreedy(0.3).probs(torch.tensor([1.0, 2.0])), [0.15, 0.85])
+
+
+@pytest.mark.parametrize("temperature", [0.5, 1.0, 2.0, 100.0])
+def test_softmax_at_a_temperature(temperature):
+    logits = temperature * torch.tensor([0.0, math.log(3), math.log(4)], dtype=torch.float64)
+    close(Softmax(temperature).probs(logits), [1 / 8, 3 / 8, 4 / 8])
+
+
+def test_softmax_of_the_thesis_is_at_temperature_one():
+    logits = torch.tensor([0.0, math.log(3)])
+    close(Softmax().probs(logits), [0.25, 0.75])
+    close(Softmax(2.0).probs(logits), [1 / (1 + math.sqrt(3)), math.sqrt(3) / (1 + math.sqrt(3))])
+    close(Softmax(0.5).probs(logits), [0.1, 0.9])
+
+
+def test_mixture_of_all_three_corners():
+    mixture = Mixture(greedy=0.5, softmax=0.3, uniform=0.2, temperature=2.0)
+    logits = torch.tensor([0.0, 2 * math.log(3)])
+    close(mixture_probs(logits, mixture), [0.3 / 4 + 0.1, 0.5 + 0.9 / 4 + 0.1])
+    masked = torch.tensor([0.0, NEVER, 2 * math.log(3)])
+    close(mixture_probs(masked, mixture), [0.3 / 4 + 0.1, 0, 0.5 + 0.9 / 4 + 0.1])
+
+
+def test_a_forbidden_action_leaves_its_share_to_the_others():
+    logits = torch.tensor([0.0, NEVER, 3.0])
+    assert Random().probs(logits).tolist() == [0.5, 0, 0.5]
+    close(EpsilonGreedy(0.2).probs(logits), [0.1, 0, 0.9])
+    close(Softmax(3.0).probs(logits), [1 / (1 + math.e), 0, math.e / (1 + math.e)])
+    assert Argmax().probs(logits).tolist() == [0, 0, 1]
+
+
+def test_mixtures_of_the_five_strategies():
+    assert Random().mixture() == Mixture(uniform=1.0)
+    assert Argmax().mixture() == Mixture(greedy=1.0)
+    assert Softmax(0.7).mixture() == Mixture(softmax=1.0, temperature=0.7)
+    assert EpsilonGreedy(0.25).mixture() == Mixture(greedy=0.75, uniform=0.25)
+    assert DecayingEpsilonGreedy(0.5).mixture() == Mixture(greedy=0.0, uniform=1.0)
+
+
+@settings(deadline=None, derandomize=True)
+@given(finite_logits, unit, unit, st.floats(1e-3, 1e3))
+def test_mixture_is_a_distribution(values, a, b, temperature):
+    low, high = sorted((a, b))
+    mixture = Mixture(low, high - low, 1 - high, temperature)
+    logits = torch.tensor(values, dtype=torch.float64)
+    probs = mixture_probs(logits, mixture)
+    assert (probs >= 0).all()
+    assert probs.sum().item() == pytest.approx(1)
+    shifted = mixture_probs(logits + 1024, mixture)  # preferences have no zero
+    if logits.unique().numel() == (logits + 1024).unique().numel():
+        torch.testing.assert_close(shifted, probs, rtol=1e-6, atol=1e-6)
+
+
+# Limits
+
+
+def test_epsilon_at_its_limits():
+    assert torch.equal(EpsilonGreedy(0).probs(PREFERENCES), Argmax().probs(PREFERENCES))
+    assert torch.equal(EpsilonGreedy(1).probs(PREFERENCES), Random().probs(PREFERENCES))
+    close(EpsilonGreedy(1e-12).probs(PREFERENCES), [0, 0.5, 0, 0.5], rtol=0, atol=1e-11)
+    close(EpsilonGreedy(1 - 1e-12).probs(PREFERENCES), [0.25] * 4, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("temperature", [1e-3, 1e-30, 1e-300, 5e-324])
+def test_cold_softmax_is_argmax(temperature, dtype):
+    for scale in (1.0, 1e30):
+        probs = Softmax(temperature).probs(scale * PREFERENCES.to(dtype))
+        assert probs.tolist() == [0, 0.5, 0, 0.5]
+    masked = Softmax(temperature).probs(torch.tensor([NEVER, 1.0, 2.0], dtype=dtype))
+    assert masked.tolist() == [0, 0, 1]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("temperature", [1e10, 1e30, 1e300])
+def test_hot_softmax_is_uniform(temperature, dtype):
+    close(Softmax(temperature).probs(PREFERENCES.to(dtype)), [0.25] * 4)
+    masked = Softmax(temperature).probs(torch.tensor([NEVER, 1.0, 2.0], dtype=dtype))
+    close(masked, [0, 0.5, 0.5])
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_large_logits_do_not_overflow(dtype):
+    logits = torch.tensor([1e30, 1e30, -1e30], dtype=dtype)
+    for strategy in (Softmax(), Argmax(), EpsilonGreedy(0.0)):
+        assert strategy.probs(logits).tolist() == [0.5, 0.5, 0]
+
+
+@pytest.mark.parametrize("strategy", [Argmax(), Random(), Softmax(2.0), EpsilonGreedy(0.1)])
+def test_precision_is_that_of_the_logits(strategy):
+    double = strategy.probs(PREFERENCES)
+    single = strategy.probs(PREFERENCES.float())
+    assert (double.dtype, single.dtype) == (torch.float64, torch.float32)
+    assert abs(double.sum().item() - 1) < 1e-15
+    torch.testing.assert_close(single.double(), double, rtol=1e-6, atol=1e-7)
+
+
+# Parameters that change with the iteration
+
+
+def uniform_share(strategy, iterations):
+    """The weight of uniform in each iteration, read off the action of least preference."""
+    shares = []
+    for _ in range(iterations):
+        shares.append(4 * strategy.probs(PREFERENCES)[0].item())
+        strategy.step()
+    return shares
+
+
+@pytest.mark.parametrize("decay", [0.99, 0.9, 0.5])
+def test_decay_is_gamma_to_the_i_from_iteration_zero(decay):
+    shares = uniform_share(DecayingEpsilonGreedy(decay), 6)
+    expected = [1, decay, decay**2, decay**3, decay**4, decay**5]
+    np.testing.assert_allclose(shares, expected, rtol=1e-12)
+
+
+def test_decay_is_one_percent_after_458_iterations():
+    strategy = DecayingEpsilonGreedy()  # 0.99^458 = 0.0100212
+    shares = uniform_share(strategy, 460)
+    assert shares[458] == pytest.approx(0.0100212, rel=1e-5)
+    assert shares[459] < 0.01 < shares[458]
+
+
+def test_decay_does_not_count_frames():
+    strategy = DecayingEpsilonGreedy(0.5)
+    for _ in range(10):
+        strategy.probs(torch.zeros(100, 2))
+    assert uniform_share(strategy, 2) == [1, 0.5]
+
+
+def test_decay_at_its_ends():
+    assert uniform_share(DecayingEpsilonGreedy(1), 3) == [1, 1, 1]
+    assert uniform_share(DecayingEpsilonGreedy(0), 3) == [1, 0, 0]
+    last = DecayingEpsilonGreedy(0.99)
+    last.iteration = 10**6
+    assert last.probs(PREFERENCES).tolist() == [0, 0.5, 0, 0.5]
+
+
+def test_any_schedule_serves():
+    strategy = EpsilonGreedy(Linear(1.0, 0.0, iterations=4))
+    np.testing.assert_allclose(uniform_share(strategy, 6), [1, 0.75, 0.5, 0.25, 0, 0], atol=1e-15)
+    strategy = Softmax(Exponential(2.0, 0.5))
+    logits = torch.tensor([0.0, math.log(3)], dtype=torch.float64)
+    odds = []
+    for _ in range(3):
+        probs = strategy.probs(logits)
+        odds.append((probs[1] / probs[0]).item())
+        strategy.step()
+    np.testing.assert_allclose(odds, [math.sqrt(3), 3, 9])
+
+
+# One value per trial
+
+
+def test_epsilon_per_trial():
+    strategy = EpsilonGreedy([0.0, 0.2, 1.0])
+    trial = torch.tensor([2, 1, 0, 1])
+    expected = torch.stack(
+        [EpsilonGreedy(epsilon).probs(PREFERENCES) for epsilon in (1.0, 0.2, 0.0, 0.2)]
+    )
+    torch.testing.assert_close(strategy.probs(PREFERENCES.expand(4, 4), trial), expected)
+    stacked = strategy.probs(PREFERENCES.expand(2, 2, 4), trial.reshape(2, 2))
+    torch.testing.assert_close(stacked, expected.reshape(2, 2, 4))
+
+
+@pytest.mark.parametrize("values", [[0.5, 1.0, 2.0], (0.5, 1, 2), np.array([0.5, 1.0, 2.0])])
+def test_temperature_per_trial(values):
+    logits = torch.tensor([0.0, math.log(3)]).expand(3, 2)
+    probs = Softmax(values).probs(logits, torch.tensor([1, 0, 2]))
+    root = math.sqrt(3)
+    close(probs, [[0.25, 0.75], [0.1, 0.9], [1 / (1 + root), root / (1 + root)]])
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_extreme_temperatures_per_trial(dtype):
+    logits = torch.tensor([NEVER, 1.0, 2.0, 2.0], dtype=dtype).expand(3, 4)
+    probs = Softmax([1e-300, 1e-30, 1e300]).probs(logits, torch.tensor([0, 1, 2]))
+    close(probs, [[0, 0, 0.5, 0.5], [0, 0, 0.5, 0.5], [0, 1 / 3, 1 / 3, 1 / 3]])
+
+
+def test_temperature_per_trial_as_a_schedule():
+    logits = torch.tensor([0.0, math.log(3)]).expand(2, 2)
+    probs = Softmax(Constant([0.5, 1.0])).probs(logits, torch.tensor([1, 0]))
+    close(probs, [[0.25, 0.75], [0.1, 0.9]])
+
+
+def test_values_per_trial_need_the_trial():
+    with pytest.raises(ValueError, match="the data need a 'trial' entry"):
+        EpsilonGreedy([0.1, 0.2]).probs(PREFERENCES)
+
+
+def test_values_per_trial_have_to_be_one_for_each():
+    strategy = EpsilonGreedy([0.1, 0.2])
+    strategy.check_trials(2)
+    for trials in (1, 3):
+        with pytest.raises(ValueError, match=f"has 2; there are {trials} trials"):
+            strategy.check_trials(trials)
+    EpsilonGreedy(0.1).check_trials(7)
+    with pytest.raises(ValueError, match="has 1; there are 2 trials"):
+        Softmax([1.0]).check_trials(2)
+
+
+# Values that are not allowed
+
+
+@pytest.mark.parametrize("epsilon", [-0.1, 1.1, math.nan, "0.3", [0.1, 1.1], Linear(0, 2, 9)])
+def test_epsilon_out_of_range(epsilon):
+    with pytest.raises(ValueError, match=r"epsilon must be a number in \[0, 1\]"):
+        EpsilonGreedy(epsilon)
+
+
+@pytest.mark.parametrize("decay", [-0.1, 1.1, math.nan, "fast"])
+def test_decay_out_of_range(decay):
+    with pytest.raises(ValueError, match=r"decay must be a number in \[0, 1\]"):
+        DecayingEpsilonGreedy(decay)
+
+
+@pytest.mark.parametrize("temperature", [0, -1.0, math.nan, math.inf, [1.0, 0.0]])
+def test_temperature_out_of_range(temperature):
+    with pytest.raises(ValueError, match="temperature must be a number > 0"):
+        Softmax(temperature)

@@ -1,0 +1,394 @@
+"""What holds for every strategy, over every file of conf/strategy."""
+
+import copy
+import io
+import pickle
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+import torch
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+from scipy import stats
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torchrl.collectors import Collector
+from torchrl.data import Categorical, Composite, OneHot
+from torchrl.envs.libs.gym import GymEnv
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from trl_explore.config import CONF
+from trl_explore.strategies import Strategy
+
+FILES = {path.stem: OmegaConf.load(path) for path in sorted((CONF / "strategy").glob("*.yaml"))}
+ARGMAX = [ExplorationType.MODE, ExplorationType.MEAN, ExplorationType.DETERMINISTIC]
+NEVER = -torch.inf
+QUIET = {"auto_register_policy_transforms": True}  # torchrl 0.14 warns where it is not stated
+
+pytestmark = pytest.mark.parametrize("name", FILES)
+
+
+def build(name, *, iteration=0, **options) -> Strategy:
+    strategy = instantiate(FILES[name], _partial_=True, _convert_="all")(**options)
+    for _ in range(iteration):
+        strategy.step()
+    return strategy
+
+
+def numbers(name) -> Sequence[str]:
+    return [key for key, value in FILES[name].items() if isinstance(value, int | float)]
+
+
+def logits_of(*batch, n=4, seed=0):
+    return 2 * torch.randn(*batch, n, generator=torch.Generator().manual_seed(seed))
+
+
+def frames(logits, **entries):
+    return TensorDict({"logits": logits, **entries}, logits.shape[:-1])
+
+
+# The distribution
+
+
+@pytest.mark.parametrize("iteration", [0, 60])
+@pytest.mark.parametrize("batch", [(), (1,), (50,), (2, 3), (2, 1, 3), (0,)])
+@pytest.mark.parametrize("n", [1, 2, 9])
+def test_probs_are_a_distribution(name, batch, n, iteration):
+    logits = logits_of(*batch, n=n)
+    before = logits.clone()
+    probs = build(name, iteration=iteration).probs(logits)
+    assert probs.shape == logits.shape
+    assert probs.dtype == logits.dtype
+    assert (probs >= 0).all()
+    torch.testing.assert_close(probs.sum(-1), torch.ones(batch))
+    assert torch.equal(logits, before)
+
+
+@pytest.mark.parametrize("iteration", [0, 60])
+def test_a_logit_of_minus_infinity_gets_nothing(name, iteration):
+    logits = torch.tensor(
+        [[NEVER, 1.0, 2.0, 2.0], [0.5, NEVER, NEVER, 1.0], [NEVER, NEVER, 0, NEVER]]
+    )
+    strategy = build(name, iteration=iteration)
+    probs = strategy.probs(logits)
+    assert (probs[logits == NEVER] == 0).all()
+    torch.testing.assert_close(probs.sum(-1), torch.ones(3))
+    # What is forbidden might as well not be there.
+    torch.testing.assert_close(probs[1, [0, 3]], strategy.probs(logits[1, [0, 3]]))
+    assert probs[2].tolist() == [0, 0, 1, 0]
+
+
+def test_frames_do_not_depend_on_each_other(name):
+    strategy = build(name, iteration=60)
+    logits = logits_of(6)
+    together = strategy.probs(logits)
+    for row in range(6):
+        assert torch.equal(strategy.probs(logits[row]), together[row])
+
+
+def test_equal_preferences_are_equally_likely(name):
+    probs = build(name, iteration=60).probs(torch.tensor([1.0, 3.0, 1.0, 3.0]))
+    assert probs[0] == probs[2]
+    assert probs[1] == probs[3]
+    assert probs[1] >= probs[0]
+
+
+# The draw
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_log_prob_is_that_of_the_drawn_action(name, dtype):
+    strategy = build(name, iteration=60)
+    data = strategy(frames(logits_of(300).to(dtype)))
+    assert data["action_log_prob"].dtype == dtype
+    assert data["action_log_prob"].shape == (300,)
+    probs = strategy.probs(data["logits"])
+    assert torch.equal(
+        data["action_log_prob"], probs.gather(-1, data["action"].unsqueeze(-1)).squeeze(-1).log()
+    )
+    assert data["action_log_prob"].isfinite().all()
+
+
+@pytest.mark.parametrize("iteration", [0, 60])
+@pytest.mark.parametrize("mode", [ExplorationType.RANDOM, None])
+def test_frequencies_are_the_probabilities(name, iteration, mode):
+    strategy = build(name, iteration=iteration, seed=3)
+    logits = torch.tensor([0.0, 1.0, NEVER, 0.8, 1.0], dtype=torch.float64)
+    with set_exploration_type(mode):
+        actions = strategy(frames(logits.expand(20_000, 5)))["action"]
+    counts = np.bincount(actions.numpy(), minlength=5)
+    expected = 20_000 * strategy.probs(logits).numpy()
+    possible = expected > 0
+    assert counts[~possible].sum() == 0
+    if possible.sum() > 1:
+        assert stats.chisquare(counts[possible], expected[possible]).pvalue > 1e-3
+
+
+def test_a_strategy_explores_unless_told_otherwise(name):
+    actions = build(name)(frames(torch.zeros(400, 4)))["action"]
+    assert len(actions.unique()) == 4
+
+
+@pytest.mark.parametrize("mode", ARGMAX, ids=str)
+def test_exploration_off_takes_the_argmax(name, mode):
+    logits = torch.cat(
+        [logits_of(100), torch.tensor([[1.0, 3.0, 2.0, 3.0], [NEVER, 0.0, 0.0, -1.0]])]
+    )
+    strategy = build(name)
+    with set_exploration_type(mode):
+        data = strategy(frames(logits, noise=torch.full((102,), 0.99)))
+        assert torch.equal(data["action"], torch.from_numpy(logits.numpy().argmax(-1)))
+        assert data["action_log_prob"].tolist() == [0.0] * 102
+        mask = torch.ones(102, 4, dtype=torch.bool)
+        mask[:, 1] = False
+        masked = strategy(frames(logits, action_mask=mask))["action"]
+        assert torch.equal(masked, logits[:, [0, 2, 3]].argmax(-1).apply_(lambda k: (0, 2, 3)[k]))
+
+
+def test_exploration_off_draws_no_numbers(name):
+    quiet, loud = build(name), build(name)
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        quiet(frames(torch.zeros(50, 4)))
+    ties = torch.zeros(200, 4)
+    assert torch.equal(quiet(frames(ties))["action"], loud(frames(ties))["action"])
+
+
+@pytest.mark.parametrize("iteration", [0, 60])
+def test_noise_decides_the_draw(name, iteration):
+    logits = torch.cat([logits_of(300), torch.zeros(300, 4)])
+    noise = torch.rand(600, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    strategies = [build(name, iteration=iteration, seed=seed) for seed in (0, 1)]
+    a, b = (strategy(frames(logits, noise=noise))["action"] for strategy in strategies)
+    assert torch.equal(a, b)
+    cdf = strategies[0].probs(logits).double().numpy().cumsum(-1)
+    for row in range(600):
+        at = noise[row].item() * cdf[row, -1]
+        assert a[row] == np.searchsorted(cdf[row], at, side="right")
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3), (0,)])
+@pytest.mark.parametrize("given", [True, False])
+def test_batch_shapes(name, batch, given):
+    entries = {"noise": torch.full(batch, 0.5)} if given else {}
+    data = build(name)(frames(logits_of(*batch), **entries))
+    assert data["action"].shape == batch
+    assert data["action"].dtype == torch.int64
+    assert data["action_log_prob"].shape == batch
+
+
+# Masks
+
+
+@pytest.mark.parametrize("iteration", [0, 60])
+def test_mask_is_obeyed(name, iteration):
+    generator = torch.Generator().manual_seed(5)
+    logits = logits_of(500)
+    mask = torch.rand(500, 4, generator=generator) < 0.4
+    mask[torch.arange(500), torch.randint(4, (500,), generator=generator)] = True
+    strategy = build(name, iteration=iteration)
+    data = strategy(frames(logits, action_mask=mask))
+    assert mask.gather(-1, data["action"].unsqueeze(-1)).all()
+    probs = strategy.probs(torch.where(mask, logits, NEVER))
+    of_action = probs.gather(-1, data["action"].unsqueeze(-1)).squeeze(-1)
+    assert torch.equal(data["action_log_prob"], of_action.log())
+    assert torch.equal(data["logits"], logits)
+    assert torch.equal(data["logits"], logits_of(500))
+
+
+def test_mask_that_allows_everything_changes_nothing(name):
+    logits, mask = logits_of(100), torch.ones(100, 4, dtype=torch.bool)
+    plain, masked = build(name)(frames(logits)), build(name)(frames(logits, action_mask=mask))
+    assert torch.equal(plain["action"], masked["action"])
+    assert torch.equal(plain["action_log_prob"], masked["action_log_prob"])
+
+
+def test_mask_that_forbids_everything_is_an_error(name):
+    mask = torch.tensor([[True, False, False, False], [False] * 4])
+    with pytest.raises(ValueError, match="the action mask forbids every action of a state"):
+        build(name)(frames(logits_of(2), action_mask=mask))
+
+
+# Action specs
+
+
+@pytest.mark.parametrize("composite", [False, True])
+def test_one_hot_and_categorical_actions_are_the_same(name, composite):
+    noise = torch.rand(100, generator=torch.Generator().manual_seed(2))
+    actions = {}
+    for spec in (Categorical(4), OneHot(4)):
+        strategy = build(name, spec=Composite(action=spec) if composite else spec)
+        data = strategy(frames(logits_of(100), noise=noise))
+        actions[type(spec)] = data["action"]
+        assert data["action"].dtype == spec.dtype
+        assert spec.expand(*data.batch_size, *spec.shape).is_in(data["action"])
+        assert data["action_log_prob"].shape == (100,)
+    assert torch.equal(actions[OneHot].int().argmax(-1), actions[Categorical])
+    assert (actions[OneHot].sum(-1) == 1).all()
+
+
+# State
+
+
+def test_step_changes_the_schedule_only(name):
+    stepped, still = build(name), build(name)
+    for _ in range(3):
+        stepped.step()
+    a, b = (dict(strategy.get_extra_state()) for strategy in (stepped, still))
+    assert (a.pop("iteration"), b.pop("iteration")) == (3, 0)
+    assert a.keys() == b.keys()
+    assert all(torch.equal(torch.as_tensor(a[key]), torch.as_tensor(b[key])) for key in a)
+    ties = torch.zeros(200, 4)
+    assert torch.equal(stepped(frames(ties))["action"], still(frames(ties))["action"])
+
+
+def test_drawing_does_not_step(name):
+    strategy = build(name, iteration=2)
+    before = strategy.probs(logits_of(5))
+    for _ in range(3):
+        strategy(frames(logits_of(50)))
+    assert int(strategy.iteration) == 2
+    assert torch.equal(strategy.probs(logits_of(5)), before)
+
+
+@pytest.mark.parametrize("through_a_file", [False, True])
+def test_state_dict_round_trip(name, through_a_file):
+    ties = frames(torch.zeros(200, 4))
+    first = build(name, iteration=7, seed=1)
+    first(ties.clone())
+    state = first.state_dict()
+    if through_a_file:
+        file = io.BytesIO()
+        torch.save(state, file)
+        file.seek(0)
+        state = torch.load(file, weights_only=True)
+    second = build(name, seed=2)
+    second.load_state_dict(state)
+    assert int(second.iteration) == 7
+    assert torch.equal(second.probs(logits_of(9)), first.probs(logits_of(9)))
+    a, b = first(ties.clone()), second(ties.clone())
+    assert torch.equal(a["action"], b["action"])
+    assert torch.equal(a["action_log_prob"], b["action_log_prob"])
+
+
+def test_state_dict_within_a_larger_module(name):
+    first, second = (
+        TensorDictSequential(
+            TensorDictModule(torch.nn.Linear(3, 4), ["observation"], ["logits"]), build(name)
+        )
+        for _ in range(2)
+    )
+    first[-1].step()
+    second.load_state_dict(first.state_dict())
+    data = TensorDict({"observation": torch.randn(100, 3)}, [100])
+    assert torch.equal(first(data.clone())["action"], second(data.clone())["action"])
+    assert int(second[-1].iteration) == 1
+
+
+@pytest.mark.parametrize(
+    "duplicate", [copy.deepcopy, lambda module: pickle.loads(pickle.dumps(module))]
+)
+def test_copies_draw_the_same_and_are_independent(name, duplicate):
+    ties = torch.zeros(200, 4)
+    original = build(name, iteration=3, seed=5)
+    original(frames(ties))
+    twin, third = duplicate(original), duplicate(original)
+    expected = original(frames(ties))["action"]
+    original.step()
+    assert torch.equal(twin(frames(ties))["action"], expected)
+    assert torch.equal(third(frames(ties))["action"], expected)
+    assert (int(original.iteration), int(twin.iteration)) == (4, 3)
+
+
+# Configuration and parameters
+
+
+def test_every_argument_of_its_own_stands_in_the_file(name):
+    import inspect
+
+    own = inspect.signature(type(build(name))).parameters.values()
+    named = {p.name for p in own if p.kind is not inspect.Parameter.VAR_KEYWORD}
+    shared = set(inspect.signature(Strategy).parameters)
+    assert set(FILES[name]) - {"_target_"} == named - shared
+
+
+def test_parameters_per_trial(name):
+    # Each number of the file that may be a list: the trials then are as if each were alone.
+    accepted = []
+    for key in numbers(name):
+        value = FILES[name][key]
+        values = [value, value / 2, value / 4]
+        try:
+            strategy = build(name, **{key: values})
+        except ValueError:
+            continue
+        accepted.append(key)
+        strategy.check_trials(3)
+        logits, trial = logits_of(30), torch.arange(30) % 3
+        noise = torch.rand(30, generator=torch.Generator().manual_seed(3))
+        data = strategy(frames(logits, trial=trial, noise=noise))
+        for k, own in enumerate(values):
+            rows = trial == k
+            alone = build(name, **{key: own})(frames(logits[rows], noise=noise[rows]))
+            assert torch.equal(data["action"][rows], alone["action"])
+            torch.testing.assert_close(data["action_log_prob"][rows], alone["action_log_prob"])
+        with pytest.raises(ValueError, match="trials"):
+            strategy.check_trials(4)
+    assert accepted or name not in ("epsilon_greedy", "softmax")
+
+
+@pytest.mark.parametrize("bad", [float("nan"), -1.0])
+def test_numbers_that_make_no_sense_are_refused(name, bad):
+    for key in numbers(name):
+        with pytest.raises(ValueError, match=f"{key} must be"):
+            build(name, **{key: bad})
+
+
+# In a project that knows nothing of this one
+
+
+@pytest.mark.parametrize("indices", [True, False], ids=["categorical", "one_hot"])
+def test_behind_a_q_network_in_torchrls_collector(name, indices):
+    env = GymEnv("CartPole-v1", categorical_action_encoding=indices)
+    env.set_seed(0)
+    q = TensorDictModule(torch.nn.Linear(4, 2), ["observation"], ["action_value"])
+    strategy = build(name, spec=env.action_spec, logits_key="action_value")
+    collector = Collector(
+        env, TensorDictSequential(q, strategy), frames_per_batch=60, total_frames=120, **QUIET
+    )
+    batches = []
+    for batch in collector:
+        data = batch.clone()
+        batches.append(data)
+        assert data.batch_size == (60,)
+        action = data["action"] if indices else data["action"].int().argmax(-1)
+        assert data["action"].shape == ((60,) if indices else (60, 2))
+        assert env.action_spec.expand(60, *env.action_spec.shape).is_in(data["action"])
+        probs = strategy.probs(data["action_value"])
+        of_action = probs.gather(-1, action.unsqueeze(-1)).squeeze(-1)
+        torch.testing.assert_close(data["action_log_prob"], of_action.log())
+        # The action is the one that the environment took: pushing right speeds up.
+        falling = data["next", "observation"][:, 1] - data["observation"][:, 1]
+        assert torch.equal(falling > 0, action == 1)
+        strategy.step()
+    collector.shutdown()
+    assert len(batches) == 2
+    assert int(strategy.iteration) == 2
+
+
+def test_evaluation_in_torchrls_collector(name):
+    env = GymEnv("CartPole-v1", categorical_action_encoding=True)
+    env.set_seed(0)
+    q = TensorDictModule(torch.nn.Linear(4, 2), ["observation"], ["action_value"])
+    policy = TensorDictSequential(q, build(name, logits_key="action_value"))
+    collector = Collector(
+        env,
+        policy,
+        frames_per_batch=40,
+        total_frames=40,
+        exploration_type=ExplorationType.DETERMINISTIC,
+        **QUIET,
+    )
+    for data in collector:
+        assert torch.equal(data["action"], data["action_value"].argmax(-1))
+    collector.shutdown()
