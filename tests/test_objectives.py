@@ -255,10 +255,11 @@ def test_advantage_is_the_thesis_discount_rewards(rewards, gamma, env):
 
 def test_truncated_and_terminated_are_treated_alike(env):
     loss = ReinforceLoss(tabular("torch", env)[0])
-    terminated = episode([1, 0, 1], [1.0, 2.0, 3.0])
+    terminated = torch.cat([episode([1, 0, 1], [1.0, 2.0, 3.0]), episode([1], [4.0])])
     truncated = terminated.clone()
     truncated["next", "truncated"] = terminated["next", "terminated"].clone()
-    truncated["next", "terminated"] = torch.zeros(3, 1, dtype=torch.bool)
+    truncated["next", "terminated"] = torch.zeros(4, 1, dtype=torch.bool)
+    assert loss.advantage(truncated)[2:].tolist() == [3.0, 4.0]
     assert torch.equal(loss(terminated)["loss_actor"], loss(truncated)["loss_actor"])
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from functools import cached_property, singledispatch
-from typing import Any
 
 import torch
-from tensordict import TensorDictBase
-from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule
+from tensordict import TensorDictBase, is_tensor_collection
+from tensordict.nn import (
+    CompositeDistribution,
+    ProbabilisticTensorDictSequential,
+    TensorDictModule,
+)
 from torch import Tensor
 from torch.distributions import Categorical as TorchCategorical
 from torch.distributions import Distribution
@@ -51,6 +54,15 @@ class SoftmaxCategorical(TorchCategorical):
         logits = self._unnormalised.expand(*shape, self._num_events)
         return categorical_log_prob(logits, value.expand(shape))
 
+    def expand(self, batch_shape: torch.Size, _instance: None = None) -> SoftmaxCategorical:
+        """The same distribution over a larger batch."""
+        return SoftmaxCategorical(self._unnormalised.expand(*batch_shape, self._num_events))
+
+    @property
+    def deterministic_sample(self) -> Tensor:
+        """The most probable action [*batch]; what TorchRL asks for in deterministic modes."""
+        return self._unnormalised.argmax(-1)
+
 
 class SoftmaxActor(ProbabilisticActor):
     """The target policy π = softmax(logits) over a module that writes "logits".
@@ -66,7 +78,11 @@ class SoftmaxActor(ProbabilisticActor):
     def __init__(self, policy: TensorDictModule, *, masked: bool = False) -> None:
         self.masked = masked
         keys = {"logits": "logits", **({"mask": "action_mask"} if masked else {})}
-        super().__init__(policy, in_keys=keys, distribution_class=SoftmaxCategorical)
+        super().__init__(
+            policy,
+            in_keys=keys,  # pyright: ignore[reportArgumentType] - a dict is allowed
+            distribution_class=SoftmaxCategorical,
+        )
 
 
 @singledispatch
@@ -90,9 +106,21 @@ def score_sum(
 
     Returns:
         S [trials].
+
+    Raises:
+        ValueError: if the actor gives more than one log-probability per frame.
     """
-    log_prob = actor.get_dist(tensordict).log_prob(action)
-    return lane_sum(log_prob.reshape(-1) * advantage, trial, trials)
+    distribution = actor.get_dist(tensordict.copy())  # the actor writes to what it is given
+    composite = isinstance(distribution, CompositeDistribution)
+    log_prob = distribution.log_prob(tensordict if composite else action)
+    if is_tensor_collection(log_prob):
+        log_prob = torch.stack([*log_prob.values(True, True)]).sum(0)
+    if log_prob.shape != advantage.shape:
+        raise ValueError(
+            f"log π is {list(log_prob.shape)} for {len(advantage)} frames; a distribution over "
+            "several action dimensions must sum them (torch.distributions.Independent)"
+        )
+    return lane_sum(log_prob * advantage, trial, trials)
 
 
 @score_sum.register

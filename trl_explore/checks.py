@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from numbers import Integral, Real
 from typing import Any
 
@@ -29,18 +30,20 @@ def check_number(
         ...
         ValueError: epsilon must be a number in [0, 1], got 2
     """
-    number = isinstance(value, Real) and not isinstance(value, bool)
+    number = math.nan
+    if isinstance(value, Real) and not isinstance(value, bool):
+        with suppress(OverflowError):
+            number = float(value)
     inside = (
-        number
-        and math.isfinite(value)
-        and (value > low if low_open else value >= low)
-        and (value < high if high_open else value <= high)
+        math.isfinite(number)
+        and (number > low if low_open else number >= low)
+        and (number < high if high_open else number <= high)
     )
     if not inside:
         raise ValueError(
             f"{name} must be a number {interval(low, high, low_open, high_open)}, got {value!r}"
         )
-    return float(value)
+    return number
 
 
 def check_integer(name: str, value: Any, low: int) -> int:

@@ -14,6 +14,7 @@ from urllib.parse import quote
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException, MissingConfigException
+from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
@@ -92,12 +93,14 @@ def _same(value: Any, default: Any) -> bool:
 
 def _default_choices() -> dict[str, str]:
     entries = OmegaConf.load(CONF / "train.yaml").defaults  # type: ignore[union-attr]
-    return {k: v for entry in entries if isinstance(entry, DictConfig) for k, v in entry.items()}
+    named = (entry for entry in entries if isinstance(entry, DictConfig))
+    return {str(group): option for entry in named for group, option in entry.items()}
 
 
 def _defaults(choices: Mapping[str, str | None]) -> DictConfig:
     """What the files of ``conf/`` say for these choices, before any override."""
     defaults = OmegaConf.load(CONF / "train.yaml")
+    assert isinstance(defaults, DictConfig)
     for group in GROUPS:
         path = CONF / group / f"{choices[group]}.yaml"
         defaults[group] = OmegaConf.load(path) if path.is_file() else {}
@@ -292,7 +295,7 @@ def current_folder() -> Path:
 
 def is_multirun() -> bool:
     """Whether the running job belongs to a sweep."""
-    return HydraConfig.get().mode.name == "MULTIRUN"
+    return HydraConfig.get().mode == RunMode.MULTIRUN
 
 
 def save_hydra(folder: Path, config: DictConfig) -> None:

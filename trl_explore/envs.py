@@ -97,7 +97,10 @@ class LaneVectorEnv(VectorEnv):
         env = make_gym(id, max_steps, kwargs)
         self.envs: list[gym.Env] = [env]
         self.id, self.kwargs = id, kwargs
-        self.max_steps = env.spec.max_episode_steps if env.spec is not None else max_steps
+        limit = env.spec.max_episode_steps if env.spec is not None else max_steps
+        if limit is None:
+            raise ValueError(f"environment {id!r} has no time limit of its own; set max_steps")
+        self.max_steps = limit
         self.num_envs = num_envs
         self.spec = env.spec
         self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.DISABLED}
@@ -108,7 +111,7 @@ class LaneVectorEnv(VectorEnv):
         self.action_space = batch_space(env.action_space, num_envs)
         self.first_trial = first_trial
         self.reseed(seed)
-        shape = (num_envs, *env.observation_space.shape)
+        shape = (num_envs, *(env.observation_space.shape or ()))
         self._observations = np.zeros(shape, dtype=env.observation_space.dtype)
         self._terminated = np.zeros(num_envs, dtype=np.bool_)
         self._truncated = np.zeros(num_envs, dtype=np.bool_)
@@ -205,10 +208,9 @@ def make_env(
         torch.Size([3, 2, 4])
     """
     lanes = LaneVectorEnv(id, trials, max_steps, seed=seed, first_trial=first_trial, kwargs=kwargs)
-    if lanes.max_steps is None:
-        raise ValueError(f"environment {id!r} has no time limit of its own; set max_steps")
     env = GymWrapper(lanes, categorical_action_encoding=True)
-    return TransformedEnv(env, Compose(StepCounter(), RewardSum()))
+    transforms = [StepCounter(), RewardSum()]
+    return TransformedEnv(env, Compose(*transforms))
 
 
 def lane_env(env: EnvBase) -> LaneVectorEnv:

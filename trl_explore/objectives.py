@@ -87,7 +87,7 @@ class ReinforceLoss(LossModule):
 
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
-    out_keys = ["loss_actor", "trial_loss"]  # noqa: RUF012 - declared so by LossModule
+    out_keys = ["loss_actor", "trial_loss"]  # noqa: RUF012  # pyright: ignore
 
     actor_network: ProbabilisticTensorDictSequential
     actor_network_params: TensorDictParams
@@ -141,7 +141,7 @@ class ReinforceLoss(LossModule):
     def _forward_value_estimator_keys(self, **kwargs: NestedKey) -> None:
         self._in_keys = None
 
-    @dispatch
+    @dispatch  # pyright: ignore[reportArgumentType] - it is its own decorator
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The losses of a batch of episodes."""
         advantage = self.advantage(tensordict)

@@ -1,5 +1,8 @@
 """Optimisers whose lanes never mix: a stopped trial's weights and momentum stay as they were."""
 
+# numba rewrites signatures:
+# pyright: reportCallIssue=false, reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
@@ -118,7 +121,7 @@ def _adam(active, p, m, v, gradient, beta1, beta2, eps, step_size, correction):
 
 
 def adam(parameters: Iterable[nn.Parameter], *, lr: float = 0.05) -> Adam:
-    """torch's Adam in the form that treats every element alike, wherever it lies in memory.
+    """The Adam of torch in the form that treats every element alike, wherever it lies in memory.
 
     Args:
         parameters: the parameters.

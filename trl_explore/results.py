@@ -17,7 +17,6 @@ whole; what an interrupted job left behind is removed when the job starts again.
 from __future__ import annotations
 
 import json
-import os
 import platform
 import shutil
 from collections.abc import Iterable, Mapping
@@ -114,7 +113,7 @@ def _write_whole(path: Path, write: Any) -> None:
     temporary = path.with_name(f".{path.name}.tmp")
     try:
         write(temporary)
-        os.replace(temporary, path)
+        temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -158,8 +157,7 @@ def _write_scalars(job: Path, trials: Trials) -> None:
     for name, curve in trials.curves().items():
         for step, value in enumerate(curve.tolist(), start=1):
             logger.log_scalar(name, value, step=step)
-    logger.experiment.close() if hasattr(logger.experiment, "close") else None
-    os.replace(parent / "curves" / "scalars", job / SCALARS)
+    (parent / "curves" / "scalars").replace(job / SCALARS)
     shutil.rmtree(parent)
 
 
@@ -199,7 +197,9 @@ def read_run(job: Path) -> dict[str, Any]:
     """
     try:
         run = json.loads((job / RUN).read_text(encoding="utf-8"))
-        run["config"], run["strategy"], run["experiment"], run["trials"]
+        missing = {"config", "strategy", "experiment", "trials"} - set(run)
+        if missing:
+            raise KeyError(*sorted(missing))
     except FileNotFoundError:
         raise ResultsError(f"{job}: no finished job ({RUN} is missing)") from None
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -214,7 +214,7 @@ def read_trials(job: Path) -> pd.DataFrame:
         ResultsError: if the file is missing, truncated or foreign.
     """
     frame = _read_csv(job / TRIALS, TRIAL_COLUMNS)
-    if not frame["status"].isin(STATUSES).all():
+    if not set(frame["status"]) <= set(STATUSES):
         raise ResultsError(f"{job / TRIALS}: a status is not one of {', '.join(STATUSES)}")
     for name in ("trial", "seed", "iterations", "frames"):
         if frame[name].dtype.kind != "i":
@@ -242,8 +242,12 @@ def read_timings(sweep: Path) -> pd.DataFrame | None:
     if not (sweep / TIMINGS).exists():
         return None
     frame = _read_csv(sweep / TIMINGS, TIMING_COLUMNS)
-    numbers = frame["trial"].dtype.kind == "i" and frame["seconds"].dtype.kind in "fi"
-    if not (numbers and (frame["seconds"] > 0).all() and np.isfinite(frame["seconds"]).all()):
+    seconds = frame["seconds"].to_numpy()
+    if not (
+        frame["trial"].dtype.kind == "i"
+        and seconds.dtype.kind in "fi"
+        and bool(np.all(np.isfinite(seconds) & (seconds > 0)))
+    ):
         raise ResultsError(f"{sweep / TIMINGS}: column trial or seconds is not of its type")
     if frame.duplicated(["experiment", "job", "trial"]).any():
         raise ResultsError(f"{sweep / TIMINGS}: a trial stands there twice")
@@ -282,7 +286,7 @@ def _read_csv(path: Path, columns: Iterable[str]) -> pd.DataFrame:
     missing = [name for name in columns if name not in frame.columns]
     if missing:
         raise ResultsError(f"{path}: no column {', '.join(missing)}")
-    if frame[list(columns)].isna().any(axis=None):
+    if frame[list(columns)].isna().to_numpy().any():
         raise ResultsError(f"{path}: a value is missing")
     return frame
 

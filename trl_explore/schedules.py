@@ -50,18 +50,22 @@ class Constant(Schedule):
 
     def __init__(self, value: float | Sequence[float] | NDArray[Any]) -> None:
         self.value: Value
-        if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
-            self.value = check_number("value", value)
+        if isinstance(value, str) or np.ndim(value) == 0:
+            self.value = check_number("value", _scalar(value))
+        elif np.ndim(value) != 1 or len(value) == 0:
+            raise ValueError(
+                f"value must be a number or a list of one number per trial, got {value}"
+            )
         else:
-            self.value = np.array([check_number("value", float(v)) for v in value])
-            if self.value.size == 0:
-                raise ValueError("value must be a number or a list of one number per trial, got []")
+            self.value = np.array([check_number("value", _scalar(v)) for v in value])
 
     def __call__(self, iteration: int) -> Value:
+        """The value in ``iteration``, counted from 0."""
         return self.value
 
     @property
     def bounds(self) -> tuple[float, float]:
+        """The smallest and the largest value."""
         return float(np.min(self.value)), float(np.max(self.value))
 
 
@@ -87,11 +91,13 @@ class Linear(Schedule):
         self.iterations = check_integer("iterations", iterations, 1)
 
     def __call__(self, iteration: int) -> float:
+        """The value in ``iteration``, counted from 0."""
         progress = min(iteration / self.iterations, 1.0)
         return self.initial + (self.final - self.initial) * progress
 
     @property
     def bounds(self) -> tuple[float, float]:
+        """The smallest and the largest value."""
         return min(self.initial, self.final), max(self.initial, self.final)
 
 
@@ -115,10 +121,12 @@ class Exponential(Schedule):
         self.decay = check_number("decay", decay, 0, 1)
 
     def __call__(self, iteration: int) -> float:
+        """The value in ``iteration``, counted from 0."""
         return self.initial * self.decay**iteration
 
     @property
     def bounds(self) -> tuple[float, float]:
+        """The smallest and the largest value."""
         limit = self.initial if self.decay == 1 else 0.0
         return min(self.initial, limit), max(self.initial, limit)
 
@@ -137,9 +145,9 @@ def as_schedule(
         ValueError: if a value that it takes lies outside of the bounds.
     """
     if not isinstance(value, Schedule):
-        values = [value] if isinstance(value, str) or not hasattr(value, "__len__") else value
-        for number in values:  # type: ignore[union-attr]
-            check_number(name, number, low, high, low_open=low_open)
+        single = isinstance(value, str) or np.ndim(value) == 0
+        for number in [value] if single else value:  # type: ignore[union-attr]
+            check_number(name, _scalar(number), low, high, low_open=low_open)
         return Constant(value)
     for bound in value.bounds:
         # A decay may approach an open bound without ever reaching it.
@@ -147,3 +155,8 @@ def as_schedule(
     if low_open and np.any(value(0) == low):
         check_number(name, low, low, high, low_open=True)
     return value
+
+
+def _scalar(value: Any) -> Any:
+    """A 0-d array as the number in it; anything else as it is."""
+    return value.item() if isinstance(value, np.ndarray | np.generic) and value.ndim == 0 else value

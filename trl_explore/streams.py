@@ -26,7 +26,8 @@ def key(seed: int, stream: Stream) -> NDArray[np.uint64]:
     """
     if seed < 0:
         raise ValueError(f"seed must be a non-negative integer, got {seed}")
-    words = np.random.SeedSequence(seed, spawn_key=(int(stream),)).generate_state(2, np.uint64)
+    sequence = np.random.SeedSequence(seed, spawn_key=(int(stream),))
+    words = sequence.generate_state(2, np.uint64).astype(np.uint64)
     words.flags.writeable = False
     return words
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,18 @@ def by_trial(
     edges = [0, *(int(np.searchsorted(trial, trial[cut])) for cut in cuts), len(trial)]
     calls = [
         pool(threads).submit(kernel, *(array[low:high] for array in frames), *shared)
-        for low, high in zip(edges, edges[1:], strict=False)
+        for low, high in pairwise(edges)
     ]
-    return all([call.result() for call in calls])
+    results = [call.result() for call in calls]  # wait for all, whatever the first one says
+    return all(results)
+
+
+def check_frames(frames: torch.Size, **columns: Tensor) -> None:
+    """Compiled code reads beside an array that is too short: refuse it before.
+
+    Raises:
+        ValueError: naming the column that does not begin with the shape ``frames``.
+    """
+    for name, column in columns.items():
+        if column.shape[: len(frames)] != frames:
+            raise ValueError(f"{name} is {list(column.shape)}, but the frames are {list(frames)}")

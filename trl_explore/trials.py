@@ -50,7 +50,7 @@ class Trials:
         self._n_converged = 0
         self._window = np.zeros((n, self.score_window))
         self._episodes: list[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]] = []
-        self._curves: list[tuple[float, float, int, int]] = []
+        self._curves: list[tuple[float, ...]] = []
 
     def __len__(self) -> int:
         return len(self.status)
@@ -95,7 +95,7 @@ class Trials:
             (
                 np.add.reduce(self._episode_score) / n,
                 np.add.reduce(self.score) / n,
-                np.count_nonzero(self.active),
+                int(np.count_nonzero(self.active)),
                 self._n_converged,
             )
         )
@@ -123,7 +123,7 @@ class Trials:
         return dict(zip(names, np.array(self._curves, dtype=np.float64).T, strict=True))
 
     def episodes(self) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
-        """One row for each episode, by iteration and then trial: trial, iteration, score, frames."""
+        """One row for each episode, by iteration and then trial."""
         trial, score, frames = (
             np.concatenate(column) for column in zip(*self._episodes, strict=True)
         )

@@ -356,7 +356,7 @@ def test_a_policy_without_a_strategy_is_refused(kind):
 
 
 def test_a_parameter_per_trial_must_fit_the_trials(kind):
-    with pytest.raises(ValueError, match="one value per trial has 3; there are 4 trials"):
+    with pytest.raises(ValueError, match="has 3 values, but there are 4 trials"):
         build(kind, EpsilonGreedy([0.1, 0.2, 0.3]))
 
 

@@ -138,11 +138,14 @@ def test_a_lane_does_not_depend_on_its_neighbours(compiled):
         assert torch.equal(own[0], gradient[lane])
 
 
+# Compiled code that does not look reads, and on the way back writes, beside the arrays. Here they
+# are parts of larger ones, so that such code fails these tests and not the process.
+
+
 @pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("trial", [-1, 2])
 def test_a_trial_that_does_not_exist(trial, compiled):
-    # Compiled code would read, and on the way back write, beside the weights.
-    x, weight = torch.ones(3, 4), torch.ones(2, 3, 4)
+    x, weight = torch.ones(3, 4), torch.ones(9, 3, 4)[3:5]
     with pytest.raises(IndexError):
         lane_linear(x.requires_grad_(not compiled), weight, torch.tensor([0, trial, 1]))
 
@@ -150,7 +153,7 @@ def test_a_trial_that_does_not_exist(trial, compiled):
 @pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize(("features", "trials"), [(3, 3), (5, 3), (4, 2)])
 def test_shapes_that_do_not_fit(features, trials, compiled):
-    x, weight = torch.ones(3, features), torch.ones(2, 3, 4)
-    trial = torch.zeros(trials, dtype=torch.int64)
+    x, weight = torch.ones(9, features)[:3], torch.ones(2, 3, 4)
+    trial = torch.zeros(9, dtype=torch.int64)[:trials]
     with pytest.raises((ValueError, RuntimeError, IndexError)):
         lane_linear(x.requires_grad_(not compiled), weight, trial)

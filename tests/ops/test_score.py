@@ -161,6 +161,9 @@ def test_no_frames():
     assert not gradient.any()
 
 
+# As in test_linear.py, parts of larger arrays: code that reads behind them fails the test only.
+
+
 @pytest.mark.parametrize("n_actions", [2, 3])
 @pytest.mark.parametrize("entry", [0, 2, 3, 4])
 def test_shapes_that_do_not_fit(n_actions, entry):
@@ -171,8 +174,9 @@ def test_shapes_that_do_not_fit(n_actions, entry):
 
 
 @pytest.mark.parametrize("n_actions", [2, 3])
-def test_features_that_do_not_fit(n_actions):
+@pytest.mark.parametrize("n_features", [4, 6])
+def test_features_that_do_not_fit(n_actions, n_features):
     given = list(problem(frames=6, n_actions=n_actions))
-    given[0] = given[0][:, :-1]
+    given[0] = torch.ones(9, n_features, dtype=torch.float64)[:6]
     with pytest.raises((ValueError, RuntimeError, IndexError)):
         linear_softmax_score(*given)

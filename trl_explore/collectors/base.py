@@ -45,7 +45,7 @@ class EpisodeCollector(BaseCollector):
         policy: ``TensorDictSequential(policy, strategy)``.
 
     Keyword Args:
-        exploration_type: RANDOM explores; the others take the argmax.
+        exploration_type: RANDOM or None explores; the others take the argmax.
         total_frames: iteration ends when this many frames have been delivered; −1: never.
 
     Example:
@@ -66,7 +66,7 @@ class EpisodeCollector(BaseCollector):
         env: TransformedEnv,
         policy: TensorDictSequential,
         *,
-        exploration_type: ExplorationType = ExplorationType.RANDOM,
+        exploration_type: ExplorationType | None = None,
         total_frames: int = -1,
     ) -> None:
         super().__init__()
@@ -74,7 +74,7 @@ class EpisodeCollector(BaseCollector):
         self.env = env
         self.policy = policy
         self.lanes: LaneVectorEnv = lane_env(env)
-        self.exploration_type = exploration_type
+        self.exploration_type = exploration_type or ExplorationType.RANDOM
         self.total_frames = total_frames
         self.strategy.check_trials(self.trials)
         self.frames = 0

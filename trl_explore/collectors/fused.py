@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -17,12 +18,14 @@ from gymnasium.wrappers import (
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictSequential
-from torchrl.envs import RewardSum, StepCounter, TransformedEnv
+from torch import nn
+from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
 from trl_explore.checks import check_integer
 from trl_explore.collectors.base import EpisodeCollector
 from trl_explore.collectors.loop import compile_loop, scratch
+from trl_explore.envs import lane_env
 from trl_explore.kernels import Kernel, kernel_of
 from trl_explore.policy import LinearPolicy
 from trl_explore.strategies import Mixture, MixtureStrategy
@@ -99,8 +102,8 @@ class FusedCollector(EpisodeCollector):
         threads: the number of threads among which trials are divided; the data do not depend on it.
 
     Raises:
-        NotCompilableError: with the reason, if the environment has no kernel, or a wrapper, transform,
-            policy or strategy is not of a kind that the loop knows.
+        NotCompilableError: with the reason, if the environment has no kernel, or a wrapper,
+            transform, policy or strategy is not of a kind that the loop knows.
     """
 
     def __init__(
@@ -108,16 +111,16 @@ class FusedCollector(EpisodeCollector):
         env: TransformedEnv,
         policy: TensorDictSequential,
         *,
-        exploration_type: ExplorationType = ExplorationType.RANDOM,
+        exploration_type: ExplorationType | None = None,
         total_frames: int = -1,
         threads: int = 1,
     ) -> None:
         super().__init__(env, policy, exploration_type=exploration_type, total_frames=total_frames)
         self.kernel = compilable(env, policy)
         self._loop = compile_loop(self.kernel)
-        self._linear: LinearPolicy = policy[0]
+        self._weight = linear_weight(policy)
         self.threads = check_integer("threads", threads, 1)
-        steps = int(self.lanes.max_steps)
+        steps = self.lanes.max_steps
         self._workers = [
             (Columns(self.kernel.n_features), scratch(self.kernel, steps)) for _ in range(threads)
         ]
@@ -128,7 +131,7 @@ class FusedCollector(EpisodeCollector):
             self.lanes.first_trial,
             key(self.lanes.seed, Stream.ENVIRONMENT),
             key(self.lanes.seed, Stream.ACTION),
-            self._linear.weight.detach().numpy(),
+            self._weight.detach().numpy(),
             self._mixture(),
         )
         workers = self._workers if len(trials) >= MIN_TRIALS * self.threads else self._workers[:1]
@@ -184,24 +187,33 @@ class FusedCollector(EpisodeCollector):
         return np.stack(np.broadcast_arrays(*map(np.atleast_1d, point))).astype(np.float64)
 
 
+def linear_weight(policy: TensorDictSequential) -> nn.Parameter:
+    """The weights [trials, n_actions, n_features] of a linear policy followed by a strategy.
+
+    Raises:
+        NotCompilableError: if it is another policy.
+    """
+    linear = policy[0]
+    if len(policy) == 2 and type(linear) is LinearPolicy:
+        return linear.module.weight  # type: ignore[return-value]
+    raise NotCompilableError("the policy is not a LinearPolicy")
+
+
 def compilable(env: TransformedEnv, policy: TensorDictSequential) -> Kernel:
     """The kernel that serves an environment, if the policy and strategy can be compiled too.
 
     Raises:
         NotCompilableError: with the reason.
     """
-    from trl_explore.envs import lane_env
-
     lane = lane_env(env).envs[0]
     while isinstance(lane, gym.Wrapper):
         if type(lane) not in WRAPPERS:
             raise NotCompilableError(f"the wrapper {type(lane).__name__} is not known to it")
         lane = lane.env
-    for transform in env.transform:
+    for transform in cast(Iterable[Transform], env.transform or ()):
         if type(transform) not in TRANSFORMS:
             raise NotCompilableError(f"the transform {type(transform).__name__} is not known to it")
-    if type(policy[0]) is not LinearPolicy or len(policy) != 2:
-        raise NotCompilableError("the policy is not a LinearPolicy")
+    linear_weight(policy)
     if not isinstance(policy[1], MixtureStrategy):
         raise NotCompilableError(
             f"{type(policy[1]).__name__} is not a mixture of argmax, softmax and uniform"

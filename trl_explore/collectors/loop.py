@@ -8,6 +8,9 @@ trials are therefore stepped side by side, so that the processor always has anot
 each writes to a scratch of its own, from where whole episodes go to the data, in order of trials.
 """
 
+# numba rewrites signatures:
+# pyright: reportCallIssue=false, reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 import hashlib
@@ -50,7 +53,7 @@ class _Cache(FunctionCache):
 
 
 def scratch(kernel: Kernel, max_steps: int) -> tuple[NDArray[Any], ...]:
-    """Memory for a group of episodes: what ``compile_loop`` calls ``scratch``.
+    """Memory for a group of episodes.
 
     Observation, action, μ(action), reward by episode and step; the number of steps, whether the
     last one terminated, and state, random stream and four action noises by episode.
@@ -76,93 +79,99 @@ def compile_loop(kernel: Kernel) -> Callable[..., tuple[int, int]]:
     The function returned has the signature
 
         loop(parameters, trials, episodes, first_trial, env_key, action_key, weight, mixture,
-             scratch, columns, start) -> (trials done, end)
+             memory, columns, start) -> (trials done, end)
 
     with trials and episodes [m] int64 (rows of ``weight`` and the numbers of their episodes),
     weight [*, n_actions, n_features] float32, mixture [4, 1 or *] float64 (greedy, softmax,
-    uniform, temperature), and columns the arrays of ``fused.Columns``, which it fills from frame
-    ``start`` on. It stops before a group of trials whose episodes do not fit.
+    uniform, temperature), memory the arrays of ``scratch``, and columns the arrays of
+    ``fused.Columns``, which it fills from frame ``start`` on. It stops before a group of trials
+    whose episodes do not fit.
     """
     functions = (kernel.reset, kernel.step, kernel.observe)
     return _compile(*functions, kernel.n_actions, kernel.n_features, kernel.digest)
 
 
 @lru_cache(maxsize=32)
-def _compile(
+def _compile(  # noqa: C901 - four small functions that close over the kernel's
     reset: Any, step: Any, observe: Any, n_actions: int, n_features: int, digest: str
 ) -> Callable[..., tuple[int, int]]:
+    @kernel_function
+    def begin_episodes(group, episodes, first_trial, env_key, parameters, memory):
+        state, rng = borrow(memory[6]), borrow(memory[7])
+        for j in range(len(group)):
+            trial = np.uint64(first_trial + group[j])
+            begin(rng[j], env_key, np.uint64(episodes[j]), trial)
+            reset(parameters, state[j], rng[j])
+
+    @kernel_function
+    def act(t, running, group, weight, mixture, parameters, memory, probs, work):
+        """Observe, and draw an action, in every running episode."""
+        observation, action, chance = borrow(memory[0]), borrow(memory[1]), borrow(memory[2])
+        state, noise = borrow(memory[6]), borrow(memory[8])
+        for r in range(len(running)):
+            j = running[r]
+            row = group[j]
+            x = observation[j, t]
+            observe(parameters, state[j], x)
+            for a in range(n_actions):
+                logit = weight[row, a, 0] * x[0]
+                for k in range(1, n_features):
+                    logit += weight[row, a, k] * x[k]
+                probs[a] = logit
+            _mix(probs, work, mixture, row if mixture.shape[1] > 1 else 0)
+            chosen = _draw(probs, noise[j, t & 3])
+            action[j, t] = chosen
+            chance[j, t] = probs[chosen]
+
+    @kernel_function
+    def advance(t, running, parameters, memory):
+        """Step every running episode; those that go on move to the front, and are counted."""
+        action, reward, steps = borrow(memory[1]), borrow(memory[3]), borrow(memory[4])
+        terminated, state, rng = borrow(memory[5]), borrow(memory[6]), borrow(memory[7])
+        left = 0
+        for r in range(len(running)):
+            j = running[r]
+            reward[j, t], terminal = step(parameters, state[j], action[j, t], rng[j])
+            terminated[j] = terminal
+            steps[j] = t + 1
+            if not terminal and t + 1 < action.shape[1]:
+                running[left] = j
+                left += 1
+        return left
+
     def loop(
         parameters, trials, episodes, first_trial, env_key, action_key, weight, mixture,
-        scratch, columns, start,
+        memory, columns, start,
     ):  # fmt: skip
-        observation, action, chance = borrow(scratch[0]), borrow(scratch[1]), borrow(scratch[2])
-        reward, steps, terminated = borrow(scratch[3]), borrow(scratch[4]), borrow(scratch[5])
-        state, rng, noise = borrow(scratch[6]), borrow(scratch[7]), borrow(scratch[8])
-        weight = borrow(weight)
-        max_steps = action.shape[1]
-        size = len(steps)
-        running = np.empty(size, dtype=np.int64)
+        size = len(memory[4])
+        own_running = np.empty(size, dtype=np.int64)
         own_probs = np.empty(n_actions, dtype=np.float32)
         own_work = np.empty(n_actions, dtype=np.float32)
-        probs, work = borrow(own_probs), borrow(own_work)
-        per_trial = mixture.shape[1] > 1
+        running, probs, work = borrow(own_running), borrow(own_probs), borrow(own_work)
+        rows = borrow(weight)
         end = start
         for first in range(0, len(trials), size):
-            group = trials[first : first + size]
-            n_running = len(group)
-            for j in range(n_running):
+            group, numbers = trials[first : first + size], episodes[first : first + size]
+            begin_episodes(group, numbers, first_trial, env_key, parameters, memory)
+            left = len(group)
+            for j in range(left):
                 running[j] = j
-                word = np.uint64(first_trial + group[j])
-                begin(rng[j], env_key, np.uint64(episodes[first + j]), word)
-                reset(parameters, state[j], rng[j])
-                terminated[j] = False
             t = 0
-            while n_running > 0:
+            while left > 0:
                 if t & 3 == 0:
-                    for r in range(n_running):
-                        j = running[r]
-                        episode = np.uint64(episodes[first + j])
-                        word = np.uint64(first_trial + group[j])
-                        b0, b1, b2, b3 = philox_block(
-                            action_key[0], action_key[1], np.uint64(t >> 2) + _ONE, _ZERO,
-                            episode, word,
-                        )  # fmt: skip
-                        noise[j, 0], noise[j, 1] = to_unit(b0), to_unit(b1)
-                        noise[j, 2], noise[j, 3] = to_unit(b2), to_unit(b3)
-                for r in range(n_running):
-                    j = running[r]
-                    row = group[j]
-                    x = observation[j, t]
-                    observe(parameters, state[j], x)
-                    for a in range(n_actions):
-                        logit = weight[row, a, 0] * x[0]
-                        for k in range(1, n_features):
-                            logit += weight[row, a, k] * x[k]
-                        probs[a] = logit
-                    _mix(probs, work, mixture, row if per_trial else 0)
-                    chosen = _draw(probs, noise[j, t & 3])
-                    action[j, t] = chosen
-                    chance[j, t] = probs[chosen]
-                left = 0
-                for r in range(n_running):
-                    j = running[r]
-                    reward[j, t], terminal = step(parameters, state[j], action[j, t], rng[j])
-                    terminated[j] = terminal
-                    steps[j] = t + 1
-                    if not terminal and t + 1 < max_steps:
-                        running[left] = j
-                        left += 1
-                n_running = left
+                    _draw_noise(t, running[:left], group, numbers, first_trial, action_key, memory)
+                act(t, running[:left], group, rows, mixture, parameters, memory, probs, work)
+                left = advance(t, running[:left], parameters, memory)
                 t += 1
             total = 0
             for j in range(len(group)):
-                total += steps[j]
+                total += memory[4][j]
             if end + total > len(columns[0]):
                 return first, end
             for j in range(len(group)):
-                _deliver(scratch, columns, j, group[j], end)
-                end += steps[j]
-        own_probs[0] = own_work[0]  # keeps them alive to here
+                _deliver(memory, columns, j, group[j], end)
+                end += memory[4][j]
+        own_running[0] = np.int64(own_probs[0] + own_work[0])  # keeps them alive to here
         return len(trials), end
 
     compiled = nb.njit(nogil=True, error_model="numpy")(loop)
@@ -174,46 +183,74 @@ def _compile(
 
 
 @kernel_function
+def _draw_noise(t, running, group, episodes, first_trial, action_key, memory):
+    """The action noise of the steps t to t + 3, from each trial's own stream."""
+    noise = borrow(memory[8])
+    block = np.uint64(t >> 2) + _ONE
+    for r in range(len(running)):
+        j = running[r]
+        b0, b1, b2, b3 = philox_block(
+            action_key[0], action_key[1], block, _ZERO,
+            np.uint64(episodes[j]), np.uint64(first_trial + group[j]),
+        )  # fmt: skip
+        noise[j, 0], noise[j, 1] = to_unit(b0), to_unit(b1)
+        noise[j, 2], noise[j, 3] = to_unit(b2), to_unit(b3)
+
+
+@kernel_function
+def _softmax_of_two(probs, temperature):
+    """Softmax of two logits in place, with one exponential."""
+    one = np.float32(1)
+    d = (probs[0] - probs[1]) / temperature
+    e = np.float32(math.exp(-abs(d)))
+    larger = one / (one + e)
+    first = d > 0
+    probs[0] = larger if first else e * larger
+    probs[1] = e * larger if first else larger
+
+
+@kernel_function
 def _mix(probs, work, mixture, column):
     """Turn logits into μ in place (``strategies.mixture_probs``)."""
     n = len(probs)
     greedy, soft = np.float32(mixture[0, column]), np.float32(mixture[1, column])
     uniform = np.float32(mixture[2, column])
-    one = np.float32(1)
-    if n == 2 and soft == one:  # the common case with one exponential instead of two
-        temperature = min(max(np.float32(mixture[3, column]), _TINY), _HUGE)
-        d = (probs[0] - probs[1]) / temperature
-        e = np.float32(math.exp(-abs(d)))
-        larger = one / (one + e)
-        first = d > 0
-        probs[0] = larger if first else e * larger
-        probs[1] = e * larger if first else larger
+    temperature = min(max(np.float32(mixture[3, column]), _TINY), _HUGE)
+    if n == 2 and soft == 1:  # the common case
+        _softmax_of_two(probs, temperature)
         return
     largest = probs[0]
     for k in range(1, n):
         largest = max(largest, probs[k])
+    work[:] = 0
     if soft != 0:
-        temperature = min(max(np.float32(mixture[3, column]), _TINY), _HUGE)
-        total = np.float32(0)
-        for k in range(n):
-            work[k] = math.exp((probs[k] - largest) / temperature)
-            total += work[k]
-        for k in range(n):
-            work[k] = soft * (work[k] / total)
-    else:
-        for k in range(n):
-            work[k] = 0
+        _add_softmax(probs, work, soft, largest, temperature)
     if greedy != 0:
-        ties = np.float32(0)
-        for k in range(n):
-            ties += np.float32(probs[k] == largest)
-        for k in range(n):
-            work[k] += greedy * (np.float32(probs[k] == largest) / ties)
+        _add_greedy(probs, work, greedy, largest)
     if uniform != 0:
         for k in range(n):
             work[k] += uniform * (np.float32(1) / np.float32(n))
     for k in range(n):
         probs[k] = work[k]
+
+
+@kernel_function
+def _add_softmax(logits, work, weight, largest, temperature):
+    total = np.float32(0)
+    for k in range(len(logits)):
+        work[k] = math.exp((logits[k] - largest) / temperature)
+        total += work[k]
+    for k in range(len(logits)):
+        work[k] = weight * (work[k] / total)
+
+
+@kernel_function
+def _add_greedy(logits, work, weight, largest):
+    ties = np.float32(0)
+    for k in range(len(logits)):
+        ties += np.float32(logits[k] == largest)
+    for k in range(len(logits)):
+        work[k] += weight * (np.float32(logits[k] == largest) / ties)
 
 
 @kernel_function
@@ -235,9 +272,9 @@ def _draw(probs, u):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _deliver(scratch, columns, j, row, start):
+def _deliver(memory, columns, j, row, start):
     """Write episode j of a group to the frames from ``start`` on."""
-    x, a, chance, r, steps, ended = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5]  # fmt: skip
+    x, a, chance, r, steps, ended = memory[:6]
     (trial, observation, action, action_log_prob, reward, done, terminated, truncated,
      step_count, episode_reward) = columns  # fmt: skip
     n = steps[j]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 import torch
@@ -51,7 +53,7 @@ class TorchRLCollector(EpisodeCollector):
                 frames.append(self._frame(td))
                 td = self.env._step_mdp(td)
         mask = torch.from_numpy(np.stack(running)).t()
-        return torch.stack(frames, 1)[mask]
+        return cast(TensorDictBase, TensorDict.stack(frames, 1))[mask]
 
     def _next(self, td: TensorDictBase) -> TensorDictBase:
         """What ``env.step`` writes to "next".
@@ -73,7 +75,7 @@ class TorchRLCollector(EpisodeCollector):
 
     @cached_property
     def _transforms(self) -> list[Transform]:
-        return list(self.env.transform) if self.env.transform is not None else []
+        return list(cast(Iterable[Transform], self.env.transform or ()))
 
     @cached_property
     def _has_inverse(self) -> bool:

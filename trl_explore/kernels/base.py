@@ -25,7 +25,7 @@ class Kernel:
     from ``rng`` by ``kernels.random(rng)`` in the same order as it calls ``np_random.random()``:
 
         reset(parameters, state, rng)                 begins an episode: fills ``state``
-        step(parameters, state, action, rng)          changes ``state``; returns (reward, terminated)
+        step(parameters, state, action, rng)          moves ``state``; returns reward, terminated
         observe(parameters, state, observation)       fills ``observation`` [n_features] float32
 
     Time limits are the collector's business.

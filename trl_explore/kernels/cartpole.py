@@ -19,7 +19,7 @@ def reset(parameters, state, rng):
 
 @kernel_function
 def step(parameters, state, action, rng):
-    """One step of ``tau`` seconds under a force of ±``force_mag``; the order of the sums matters."""
+    """One step of ``tau`` seconds under a force of ±``force_mag``, sums in gymnasium's order."""
     (gravity, masspole, total_mass, length, polemass_length, force_mag, tau,
      x_threshold, theta_threshold, euler, alive, fallen) = parameters  # fmt: skip
     x, x_dot, theta, theta_dot = state[0], state[1], state[2], state[3]

@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from trl_explore.threads import check_frames
+
 
 def lane_linear(x: Tensor, weight: Tensor, trial: Tensor) -> Tensor:
     """y_i = W[trial_i] x_i.
@@ -22,11 +24,18 @@ def lane_linear(x: Tensor, weight: Tensor, trial: Tensor) -> Tensor:
     Returns:
         [*batch, n_out].
 
+    Raises:
+        ValueError: if the shapes do not fit each other.
+        IndexError: if a trial is not in [0, trials).
+
     Example:
         >>> weight = torch.tensor([[[1.0, 2.0]], [[10.0, 20.0]]])
         >>> lane_linear(torch.ones(3, 2), weight, torch.tensor([0, 1, 1])).tolist()
         [[3.0], [30.0], [30.0]]
     """
+    check_frames(x.shape[:-1], trial=trial)
+    if x.shape[-1] != weight.shape[2]:
+        raise ValueError(f"x has {x.shape[-1]} features, but the weights have {weight.shape[2]}")
     compiled = (
         x.device.type == weight.device.type == "cpu"
         and x.dtype == weight.dtype
@@ -45,7 +54,8 @@ def lane_linear(x: Tensor, weight: Tensor, trial: Tensor) -> Tensor:
 
 def _apply(x: Tensor, weight: Tensor, trial: Tensor) -> Tensor:
     out = x.new_empty(len(x), weight.shape[1])
-    _forward(x.numpy(), weight.detach().contiguous().numpy(), trial.numpy(), out.numpy())
+    if not _forward(x.numpy(), weight.detach().contiguous().numpy(), trial.numpy(), out.numpy()):
+        raise IndexError(f"a trial is not in [0, {len(weight)})")
     return out
 
 
@@ -71,11 +81,14 @@ def _forward(x, weight, trial, out):  # pragma: no cover - compiled
     n_out, n_in = weight.shape[1:]
     for i in range(len(x)):
         lane = trial[i]
+        if not 0 <= lane < len(weight):
+            return False
         for j in range(n_out):
             total = weight[lane, j, 0] * x[i, 0]
             for k in range(1, n_in):
                 total += weight[lane, j, k] * x[i, k]
             out[i, j] = total
+    return True
 
 
 @nb.njit(cache=True, nogil=True)

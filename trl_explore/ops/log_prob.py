@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from trl_explore.threads import check_frames
+
 
 def categorical_log_prob(logits: Tensor, action: Tensor) -> Tensor:
     """Log softmax(logits)_action, with gradient 1[k = action] − softmax(logits)_k.
@@ -21,10 +23,15 @@ def categorical_log_prob(logits: Tensor, action: Tensor) -> Tensor:
     Returns:
         [*batch] (nats).
 
+    Raises:
+        ValueError: if the shapes do not fit each other.
+        IndexError: if an action is out of range.
+
     Example:
         >>> categorical_log_prob(torch.tensor([[0.0, 0.0]]), torch.tensor([1])).exp()
         tensor([0.5000])
     """
+    check_frames(logits.shape[:-1], action=action)
     if logits.device.type != "cpu" or logits.dtype not in (torch.float32, torch.float64):
         return logits.log_softmax(-1).gather(-1, action.long().unsqueeze(-1)).squeeze(-1)
     flat = _CategoricalLogProb.apply(

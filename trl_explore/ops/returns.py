@@ -6,12 +6,10 @@ import numba as nb
 import torch
 from torch import Tensor
 
-from trl_explore.threads import by_trial, fits
+from trl_explore.threads import by_trial, check_frames, fits
 
 
-def return_to_go(
-    reward: Tensor, done: Tensor, gamma: float, trial: Tensor | None = None
-) -> Tensor:
+def return_to_go(reward: Tensor, done: Tensor, gamma: float, trial: Tensor | None = None) -> Tensor:
     """G_t = r_t + γ · G_{t+1}, with G_{t+1} = 0 behind a frame that is done, and behind the last.
 
     Time is the last dimension; any number of episodes may follow each other along it. This is
@@ -27,11 +25,19 @@ def return_to_go(
     Returns:
         [*batch, time], in the dtype of ``reward``.
 
+    Raises:
+        ValueError: if the shapes do not fit each other.
+
     Example:
         >>> done = torch.tensor([False, True, False])
         >>> return_to_go(torch.tensor([1.0, 1.0, 4.0]), done, 0.5).tolist()
         [1.5, 1.0, 4.0]
     """
+    check_frames(reward.shape, done=done)
+    if trial is not None:
+        if reward.ndim != 1:
+            raise ValueError(f"trial goes with one row of frames, got {list(reward.shape)}")
+        check_frames(reward.shape, trial=trial)
     if fits(reward):
         if trial is None:
             rows = torch.arange(reward.shape[:-1].numel()).unsqueeze(-1)

@@ -1,5 +1,8 @@
 """The sum that every policy gradient is made of, for a linear-softmax policy, in one pass."""
 
+# numba rewrites signatures:
+# pyright: reportCallIssue=false, reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -15,7 +18,7 @@ from torch.autograd.function import once_differentiable
 from trl_explore.kernels.borrow import borrow
 from trl_explore.ops.linear import lane_linear
 from trl_explore.ops.log_prob import categorical_log_prob
-from trl_explore.threads import by_trial, fits
+from trl_explore.threads import by_trial, check_frames, fits
 
 
 def lane_sum(values: Tensor, trial: Tensor, trials: int) -> Tensor:
@@ -55,15 +58,21 @@ def linear_softmax_score(
         S [trials].
 
     Raises:
+        ValueError: if the shapes do not fit each other.
         IndexError: if an action or trial is out of range.
 
     Example:
         >>> x, w = torch.ones(3, 1), torch.zeros(2, 2, 1)
-        >>> one = torch.ones(3)
-        >>> score = linear_softmax_score(x, w, torch.tensor([0, 1, 1]), one, torch.tensor([0, 0, 1]))
+        >>> action, trial = torch.tensor([0, 1, 1]), torch.tensor([0, 0, 1])
+        >>> score = linear_softmax_score(x, w, action, torch.ones(3), trial)
         >>> (score / torch.tensor(0.5).log()).tolist()
         [2.0, 1.0]
     """
+    check_frames(observation.shape[:1], action=action, advantage=advantage, trial=trial)
+    if observation.shape[1] != weight.shape[2]:
+        raise ValueError(
+            f"observation has {observation.shape[1]} features, the weights {weight.shape[2]}"
+        )
     if not fits(observation, weight, advantage) or observation.requires_grad:
         logits = lane_linear(observation, weight, trial)
         return lane_sum(categorical_log_prob(logits, action) * advantage, trial, len(weight))
@@ -92,7 +101,9 @@ class _LinearSoftmaxScore(torch.autograd.Function):
         kernel = _score_two(w.shape[2]) if w.shape[1] == 2 else _score
         valid = by_trial(kernel, frames, (w, total, gradient))
         if not valid:
-            raise IndexError(f"an action is not in [0, {w.shape[1]}) or a trial not in [0, {len(w)})")
+            raise IndexError(
+                f"an action is not in [0, {w.shape[1]}) or a trial not in [0, {len(w)})"
+            )
         ctx.save_for_backward(torch.from_numpy(gradient).to(weight.dtype))
         return torch.from_numpy(total).to(weight.dtype)
 

@@ -63,8 +63,8 @@ class Strategy(TensorDictModuleBase):
         self.spec = spec
         self.logits_key, self.action_key = logits_key, action_key
         self.action_mask_key = action_mask_key
-        self.in_keys = [logits_key]
-        self.out_keys = [action_key, "action_log_prob"]
+        self.in_keys = [logits_key]  # pyright: ignore[reportAttributeAccessIssue]
+        self.out_keys = [action_key, "action_log_prob"]  # pyright: ignore[reportAttributeAccessIssue]
         self.iteration = 0
         self._generator = torch.Generator().manual_seed(seed)
 
@@ -76,9 +76,10 @@ class Strategy(TensorDictModuleBase):
             logits: [*batch, n_actions].
             trial: [*batch] int64, needed only where parameters differ between trials.
         """
+        raise NotImplementedError(f"{type(self).__name__} does not state its probs")
 
     def check_trials(self, trials: int) -> None:
-        """Raise ValueError if a parameter has one value per trial, but not for ``trials`` trials."""
+        """Raise ValueError if a parameter has one value per trial, but not for all."""
 
     def step(self) -> None:
         """Advance the schedules by one iteration (once per update, whatever the batch)."""
@@ -108,7 +109,7 @@ class Strategy(TensorDictModuleBase):
         if noise is None:
             shape = logits.shape[:-1]
             noise = torch.rand(shape, generator=self._generator, dtype=torch.float64)
-        return noise.to(logits.device)
+        return noise.to(logits.device).reshape(logits.shape[:-1])
 
     def _encode(self, action: Tensor, n_actions: int) -> Tensor:
         if self.spec is None:

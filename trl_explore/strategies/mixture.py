@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from functools import reduce
+from operator import add
 from typing import NamedTuple
 
 import numpy as np
@@ -19,10 +21,10 @@ class Mixture(NamedTuple):
     The weights are non-negative and sum to 1; the temperature is >= 0, and 0 is the limit.
     """
 
-    greedy: Value = 0.0
-    softmax: Value = 0.0
-    uniform: Value = 0.0
-    temperature: Value = 1.0
+    greedy: Value | Tensor = 0.0
+    softmax: Value | Tensor = 0.0
+    uniform: Value | Tensor = 0.0
+    temperature: Value | Tensor = 1.0
 
 
 class MixtureStrategy(Strategy):
@@ -40,11 +42,11 @@ class MixtureStrategy(Strategy):
         """Weights and temperature in the current iteration."""
 
     def check_trials(self, trials: int) -> None:
-        """Raise ValueError if a parameter has one value per trial, but not for ``trials`` trials."""
+        """Raise ValueError if a parameter has one value per trial, but not for all."""
         for value in self.mixture():
             if isinstance(value, np.ndarray) and value.shape != (trials,):
                 raise ValueError(
-                    f"a parameter with one value per trial has {value.size}; there are {trials} trials"
+                    f"a parameter has {value.size} values, but there are {trials} trials"
                 )
 
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
@@ -60,11 +62,11 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
         >>> mixture_probs(torch.tensor([0.0, 4.0, -1.0, 4.0]), Mixture(greedy=0.8, uniform=0.2))
         tensor([0.0500, 0.4500, 0.0500, 0.4500])
     """
-    terms = []
+    terms: list[Tensor] = []
     largest = logits.amax(-1, keepdim=True)
     if _any(mixture.greedy):
         best = (logits == largest).to(logits.dtype)
-        terms.append(mixture.greedy * (best / best.sum(-1, keepdim=True)))
+        terms.append(_weigh(best / best.sum(-1, keepdim=True), mixture.greedy))
     if _any(mixture.softmax):
         # Subtracting first, and T within the dtype's range, keep the quotient from overflowing.
         limits = torch.finfo(logits.dtype)
@@ -73,18 +75,23 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
             temperature = temperature.clamp(limits.tiny, limits.max)
         else:
             temperature = min(max(float(temperature), limits.tiny), limits.max)
-        terms.append(mixture.softmax * torch.softmax((logits - largest) / temperature, -1))
+        soft = torch.softmax((logits - largest) / temperature, -1)
+        terms.append(_weigh(soft, mixture.softmax))
     if _any(mixture.uniform):
         legal = (logits != -torch.inf).to(logits.dtype)
-        terms.append(mixture.uniform * (legal / legal.sum(-1, keepdim=True)))
-    return sum(terms[1:], start=terms[0])
+        terms.append(_weigh(legal / legal.sum(-1, keepdim=True), mixture.uniform))
+    return reduce(add, terms)
+
+
+def _weigh(corner: Tensor, weight: Value | Tensor) -> Tensor:
+    return corner * (torch.as_tensor(weight) if isinstance(weight, np.ndarray) else weight)
 
 
 def _any(weight: Value | Tensor) -> bool:
-    return bool((weight != 0).any()) if isinstance(weight, Tensor) else weight != 0
+    return weight != 0 if isinstance(weight, int | float) else bool((weight != 0).any())
 
 
-def _rows(value: Value, trial: Tensor | None, logits: Tensor) -> float | Tensor:
+def _rows(value: Value | Tensor, trial: Tensor | None, logits: Tensor) -> float | Tensor:
     """One number, or the trials' own numbers as a column [*batch, 1]."""
     if not isinstance(value, np.ndarray):
         return value

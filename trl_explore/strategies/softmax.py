@@ -17,7 +17,8 @@ class Softmax(MixtureStrategy):
     The thesis prints exp(x^T); x / T is meant. T → 0 gives argmax, T → ∞ uniform.
 
     Args:
-        temperature: T > 0, a number, one number per trial, or a schedule of the iteration.
+        temperature: T > 0, a number, one number per trial, or a schedule of the iteration, which
+            may fall to 0: the limit, argmax.
         options: the arguments of ``Strategy``.
 
     Raises:
