@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property, singledispatch
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase, is_tensor_collection
@@ -110,17 +111,18 @@ def score_sum(
     Raises:
         ValueError: if the actor gives more than one log-probability per frame.
     """
-    distribution = actor.get_dist(tensordict.copy())  # the actor writes to what it is given
+    # On a copy, since the actor writes to what it is given.
+    distribution: Any = actor.get_dist(tensordict.copy())
     composite = isinstance(distribution, CompositeDistribution)
     log_prob = distribution.log_prob(tensordict if composite else action)
     if is_tensor_collection(log_prob):
         log_prob = torch.stack([*log_prob.values(True, True)]).sum(0)
-    if log_prob.shape != advantage.shape:
+    if log_prob.numel() != len(advantage):
         raise ValueError(
             f"log π is {list(log_prob.shape)} for {len(advantage)} frames; a distribution over "
             "several action dimensions must sum them (torch.distributions.Independent)"
         )
-    return lane_sum(log_prob * advantage, trial, trials)
+    return lane_sum(log_prob.reshape(-1) * advantage, trial, trials)
 
 
 @score_sum.register
