@@ -50,14 +50,13 @@ class Constant(Schedule):
 
     def __init__(self, value: float | Sequence[float] | NDArray[Any]) -> None:
         self.value: Value
+        values: Any = value
         if isinstance(value, str) or np.ndim(value) == 0:
             self.value = check_number("value", _scalar(value))
-        elif np.ndim(value) != 1 or len(value) == 0:
-            raise ValueError(
-                f"value must be a number or a list of one number per trial, got {value}"
-            )
+        elif np.ndim(value) != 1 or len(values) == 0:
+            raise ValueError(f"value must be a number or one number per trial, got {value}")
         else:
-            self.value = np.array([check_number("value", _scalar(v)) for v in value])
+            self.value = np.array([check_number("value", _scalar(v)) for v in values])
 
     def __call__(self, iteration: int) -> Value:
         """The value in ``iteration``, counted from 0."""

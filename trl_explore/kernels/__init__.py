@@ -3,13 +3,13 @@
 An environment of your own takes three functions and a maker, in any module that is imported
 before the collector is built:
 
-    @nb.njit(cache=True)
+    @kernel_function
     def reset(parameters, state, rng): state[0] = random(rng)
 
-    @nb.njit(cache=True)
+    @kernel_function
     def step(parameters, state, action, rng): ...; return reward, terminated
 
-    @nb.njit(cache=True)
+    @kernel_function
     def observe(parameters, state, observation): observation[0] = state[0]
 
     @register_kernel(MyEnv)
@@ -18,7 +18,15 @@ before the collector is built:
 """
 
 from trl_explore.kernels import cartpole, frozen_lake
-from trl_explore.kernels.base import Kernel, kernel_of, register_kernel
+from trl_explore.kernels.base import Kernel, kernel_function, kernel_of, register_kernel
 from trl_explore.kernels.philox import random
 
-__all__ = ["Kernel", "cartpole", "frozen_lake", "kernel_of", "random", "register_kernel"]
+__all__ = [
+    "Kernel",
+    "cartpole",
+    "frozen_lake",
+    "kernel_function",
+    "kernel_of",
+    "random",
+    "register_kernel",
+]
