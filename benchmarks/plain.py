@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 
 GAMMA, LR, WEIGHT = 0.99, 0.05, 0.05
 
@@ -50,7 +52,13 @@ def train(strategy: str, seed: int, max_iterations: int = 1000) -> Plain:
     return Plain(max_iterations, False, frames)
 
 
-def episode(env, weight, draw, softmax: bool, epsilon: float):  # noqa: ANN001, ANN201
+def episode(
+    env: gym.Env,
+    weight: NDArray[np.float64],
+    draw: Callable[[], float],
+    softmax: bool,
+    epsilon: float,
+) -> tuple[list[NDArray[np.float32]], list[int]]:
     """One episode of at most 500 steps: observations and actions."""
     w0, w1, w2, w3 = (weight[1] - weight[0]).tolist()
     observation, _ = env.reset()
@@ -73,7 +81,9 @@ def episode(env, weight, draw, softmax: bool, epsilon: float):  # noqa: ANN001, 
     return observations, actions
 
 
-def policy_gradient(weight: np.ndarray, x: np.ndarray, a: np.ndarray) -> np.ndarray:
+def policy_gradient(
+    weight: NDArray[np.float64], x: NDArray[np.float32], a: NDArray[np.int64]
+) -> NDArray[np.float64]:
     """The gradient of the loss of appendix A.3."""
     n = len(a)
     returns = ((1 - GAMMA ** np.arange(n, 0, -1)) / (1 - GAMMA)).astype(np.float64)

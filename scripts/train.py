@@ -15,6 +15,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
 from trl_explore.config import CONF, ConfigError
+from trl_explore.results import ResultsError
 
 finished: list[Path] = []
 failed: list[str] = []
@@ -27,9 +28,11 @@ def run(config: DictConfig) -> None:
     try:
         train(config, folder)
         finished.append(folder)
-    except ConfigError as error:
-        folder.rmdir() if not any(folder.iterdir()) else None
-        failed.append(f"{folder.name}: {error}" if configuration.is_multirun() else str(error))
+    except (ConfigError, ResultsError, OmegaConfBaseException, OSError) as error:
+        if not any(folder.iterdir()):
+            folder.rmdir()
+        line = configuration.describe(error)
+        failed.append(f"{folder.name}: {line}" if configuration.is_multirun() else line)
         print(f"error: {failed[-1]}", file=sys.stderr)
 
 

@@ -32,6 +32,10 @@ INERT = ("output_dir", "restart", "threads", "episodes", "collector.threads")
 """Keys that change no result: they are not part of a job's name or identity."""
 
 
+ABSENT = object()
+"""Stands for the default of a key that ``conf/`` does not have."""
+
+
 class ConfigError(ValueError):
     """A configuration that cannot be run; the message is one line."""
 
@@ -74,7 +78,8 @@ def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
     for key in sorted(leaves, key=lambda key: (not key.startswith("strategy."), key)):
         value, default = OmegaConf.select(config, key), leaves[key]
         shown_always = key.startswith("strategy.") and not key.startswith("strategy._")
-        if key in INERT or (_same(value, default) and not shown_always):
+        same = default is not ABSENT and _same(value, default)
+        if key in INERT or (same and not shown_always):
             continue
         if isinstance(default, float) and isinstance(value, int):
             value = float(value)
@@ -137,7 +142,7 @@ def _default(defaults: DictConfig, config: DictConfig, key: str) -> Any:
     parent, _, name = key.rpartition(".")
     node = OmegaConf.select(defaults, parent, throw_on_missing=False) if parent else defaults
     if not isinstance(node, DictConfig) or name not in node or OmegaConf.is_missing(node, name):
-        return None
+        return ABSENT
     pointer = re.fullmatch(r"\$\{([\w.]+)\}", str(OmegaConf.to_container(node)[name]))  # type: ignore[index]
     return OmegaConf.select(config, pointer[1]) if pointer else node[name]
 
@@ -155,6 +160,8 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
     for name in config:
         if name not in known:
             raise ConfigError(f"unknown key {name!r}; known: {', '.join(sorted(known))}")
+    for name in sorted(known - {str(key) for key in config}):
+        raise ConfigError(f"the key {name!r} has been removed, but is needed")
     for group in GROUPS:
         path = CONF / group / f"{choices[group]}.yaml"
         if not path.is_file():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -27,16 +28,7 @@ def make_gym(id: str, max_steps: int | None, kwargs: Mapping[str, Any]) -> gym.E
     """
     if max_steps is not None:
         check_integer("max_steps", max_steps, 1)
-    try:
-        env = gym.make(id, max_episode_steps=max_steps, disable_env_checker=True, **kwargs)
-    except gym.error.DependencyNotInstalled as error:
-        raise ValueError(f"environment {id!r} needs a package: {first_line(error)}") from error
-    except (gym.error.Error, ModuleNotFoundError) as error:
-        raise ValueError(f"unknown environment id {id!r}: {first_line(error)}") from error
-    except TypeError as error:
-        raise ValueError(
-            f"environment {id!r} refuses its arguments: {first_line(error)}"
-        ) from error
+    env = _construct(id, max_steps, kwargs)
     if not isinstance(env.action_space, spaces.Discrete):
         raise ValueError(
             f"environment {id!r} has action space {env.action_space}; "
@@ -55,6 +47,24 @@ def make_gym(id: str, max_steps: int | None, kwargs: Mapping[str, Any]) -> gym.E
         )
     if env.observation_space.dtype != np.float32:
         env = gym.wrappers.DtypeObservation(env, np.float32)
+    return env
+
+
+def _construct(id: str, max_steps: int | None, kwargs: Mapping[str, Any]) -> gym.Env:
+    """Build it; an error of its constructor, whatever it is, becomes one line."""
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            env = gym.make(id, max_episode_steps=max_steps, disable_env_checker=True, **kwargs)
+    except gym.error.DependencyNotInstalled as error:
+        raise ValueError(f"environment {id!r} needs a package: {first_line(error)}") from error
+    except (gym.error.Error, ModuleNotFoundError) as error:
+        raise ValueError(f"unknown environment id {id!r}: {first_line(error)}") from error
+    except Exception as error:
+        raise ValueError(
+            f"environment {id!r} refuses its arguments: {type(error).__name__}: {first_line(error)}"
+        ) from error
+    for warning in caught:
+        warnings.warn(warning.message, warning.category, stacklevel=2)
     return env
 
 

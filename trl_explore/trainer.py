@@ -78,7 +78,7 @@ class Trainer:
     def _diverged(self, trial_loss: torch.Tensor, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether an active trial's loss or one of its weights is not finite [active]."""
         rows = [trial_loss.numpy(), *(p.detach().numpy() for p in self.optimizer.parameters)]
-        if np.isfinite(sum(float(np.add.reduce(row, axis=None)) for row in rows)):
+        if np.isfinite(sum(float(np.add.reduce(row, axis=None, dtype=np.float64)) for row in rows)):
             return np.zeros(np.count_nonzero(active), dtype=np.bool_)
         finite = [np.isfinite(row.reshape(len(row), -1)).all(axis=1) for row in rows]
         return ~np.logical_and.reduce(finite)[active]

@@ -86,19 +86,15 @@ class Trials:
         self.frames[trial] += frames
         self.seconds[trial] = seconds
 
+        # In its last iteration a trial counts with its episode, from then on with its final score.
+        episode_score = np.add.reduce(self._episode_score) / len(self)
         full = self.iteration >= self.score_window
         passed = (mean > self.score_threshold) & full & ~diverged
         if passed.any() or diverged.any() or self.iteration >= self.max_iterations:
             self._stop(trial, passed, diverged)
-        n = len(self)
-        self._curves.append(
-            (
-                np.add.reduce(self._episode_score) / n,
-                np.add.reduce(self.score) / n,
-                int(np.count_nonzero(self.active)),
-                self._n_converged,
-            )
-        )
+        score = np.add.reduce(self.score) / len(self)
+        active = int(np.count_nonzero(self.active))
+        self._curves.append((episode_score, score, active, self._n_converged))
 
     def _stop(
         self, trial: NDArray[np.int64], passed: NDArray[np.bool_], diverged: NDArray[np.bool_]

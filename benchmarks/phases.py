@@ -1,0 +1,71 @@
+"""Where the time of an iteration goes: the trainer's parts, wrapped from outside."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+from unittest import mock
+
+import torch
+from runs import CAP, Run, build, train
+
+from trl_explore import trainer as trainer_module
+from trl_explore.trainer import Trainer
+
+PHASES = ("collect", "outcomes", "loss", "backward", "optimiser", "record")
+
+
+class Clock:
+    """Seconds spent in each of several functions."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = dict.fromkeys(PHASES, 0.0)
+
+    def timed(self, phase: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """``function``, whose seconds are added to those of ``phase``."""
+        clock, seconds = time.perf_counter, self.seconds
+
+        def call(*args: Any, **kwargs: Any) -> Any:
+            started = clock()
+            result = function(*args, **kwargs)
+            seconds[phase] += clock() - started
+            return result
+
+        return call
+
+
+@contextmanager
+def wrapped(trainer: Trainer, clock: Clock) -> Iterator[None]:
+    """Inside, the parts of ``trainer`` are timed; a backward pass of any tensor is, too."""
+    parts = (
+        (trainer.collector, "collect", "collect"),
+        (trainer_module, "outcomes", "outcomes"),
+        (trainer, "loss", "loss"),
+        (torch.Tensor, "backward", "backward"),
+        (trainer.optimizer, "zero_grad", "optimiser"),
+        (trainer.optimizer, "step", "optimiser"),
+        (trainer.trials, "record", "record"),
+    )
+    patches = [
+        mock.patch.object(target, name, clock.timed(phase, getattr(target, name)))
+        for target, name, phase in parts
+    ]
+    for patch in patches:
+        patch.start()
+    try:
+        yield
+    finally:
+        for patch in patches:
+            patch.stop()
+
+
+def phases(trials: int, max_iterations: int = CAP) -> dict[str, float]:
+    """Microseconds per iteration of a whole softmax run: each phase, the rest, and "total"."""
+    trainer, clock = build("softmax", trials, max_iterations=max_iterations), Clock()
+    with wrapped(trainer, clock):
+        run: Run = train(trainer)
+    parts = {name: 1e6 * seconds / run.iterations for name, seconds in clock.seconds.items()}
+    total = 1e6 * run.seconds / run.iterations
+    return {**parts, "rest": total - sum(parts.values()), "total": total}

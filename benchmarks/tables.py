@@ -1,0 +1,216 @@
+"""The measurements as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from machine import description
+from phases import PHASES
+from plan import PHASE_TRIALS, SIZES, THESIS_TRIALS, Case, Measured
+from runs import CAP, STRATEGIES
+from targets import targets
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
+    """A Markdown table, padded so that it can be read as it is; ``left`` columns of words."""
+    cells = [list(head), *map(list, rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    rule = ["-" * w if i < left else "-" * (w - 1) + ":" for i, w in enumerate(widths)]
+    lines = [
+        " | ".join(
+            cell.ljust(w) if i < left else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in (cells[0], rule, *cells[1:])
+    ]
+    return "\n".join(f"| {line} |" for line in lines)
+
+
+def significant(x: float) -> str:
+    """Three significant digits, with commas between thousands."""
+    if x == 0 or abs(x) >= 100:
+        digits = max(0, len(str(int(abs(x)))) - 3)
+        return f"{round(x, -digits):,.0f}"
+    return f"{x:.3g}" if abs(x) < 1 else f"{x:.2f}" if abs(x) < 10 else f"{x:.1f}"
+
+
+def speeds(m: Measured) -> str:
+    """Frames per second of everything, by number of trials."""
+    plain, stock = m.speed(Case("plain")), m.speed(Case("stock"))
+    rows = []
+    for case, runs in m.runs.items():
+        if case.kind == "thesis" or (case.kind == "plain" and case.strategy != "softmax"):
+            continue
+        speed, each = m.speed(case), [run.speed for run in runs]
+        rows.append(
+            (
+                NAMES[case.kind],
+                f"{case.trials:,}",
+                str(case.threads),
+                significant(speed),
+                f"{significant(min(each))} to {significant(max(each))}",
+                significant(1e9 / speed),
+                significant(speed / plain),
+                significant(speed / stock),
+                busy(m, case),
+            )
+        )
+    head = ("", "trials", "threads", "frames/s", "range", "ns per frame", "× plain", "× stock")
+    return table((*head, "busy lanes"), rows)
+
+
+NAMES = {
+    "plain": "plain loop",
+    "stock": "TorchRL, stock",
+    "lanes": "TorchRL, lanes",
+    "fused": "fused",
+}
+
+
+def busy(m: Measured, case: Case) -> str:
+    """How many lanes advance in a step of the TorchRL collector, on average."""
+    if case.kind != "lanes":
+        return ""
+    return significant(m.runs[case][0].frames / m.runs[case][0].steps)
+
+
+def thesis(m: Measured) -> str:
+    """The thesis's experiment, strategy by strategy."""
+    rows = []
+    for strategy in STRATEGIES:
+        case = Case("thesis", THESIS_TRIALS, strategy=strategy)
+        run, seconds, plain = m.runs[case][0], m.seconds(case), m.plain_seconds(strategy)
+        rows.append(
+            (
+                strategy,
+                f"{run.frames:,}",
+                f"{run.iterations:,}",
+                significant(m.speed(Case("plain", strategy=strategy))),
+                significant(plain),
+                significant(seconds),
+                significant(plain / seconds),
+                significant(1e6 * seconds / run.iterations),
+            )
+        )
+    rows.append(_total(m))
+    head = ("strategy", "frames", "iterations", "plain frames/s", "plain s", "fused s", "ratio")
+    return table((*head, "µs per iteration"), rows)
+
+
+def _total(m: Measured) -> tuple[str, ...]:
+    jobs = [m.runs[Case("thesis", THESIS_TRIALS, strategy=s)][0] for s in STRATEGIES]
+    frames, iterations = sum(j.frames for j in jobs), sum(j.iterations for j in jobs)
+    plain, seconds = sum(map(m.plain_seconds, STRATEGIES)), m.thesis_seconds()
+    return (
+        "all",
+        f"{frames:,}",
+        f"{iterations:,}",
+        significant(frames / plain),
+        significant(plain),
+        significant(seconds),
+        significant(plain / seconds),
+        significant(1e6 * seconds / iterations),
+    )
+
+
+def iteration(m: Measured) -> str:
+    """Where the time of an iteration goes."""
+    rows = []
+    for name in (*PHASES, "rest", "total"):
+        cells = [name]
+        for trials in PHASE_TRIALS:
+            part, total = m.phase(trials, name), m.phase(trials, "total")
+            cells += [significant(part), f"{part / total:.0%}"]
+        rows.append(cells)
+    head = [x for n in PHASE_TRIALS for x in (f"{n:,} trials, µs", "share")]
+    return table(["part", *head], rows)
+
+
+def start_up(m: Measured) -> str:
+    """Seconds of a few commands."""
+    rows = [(f"`{name}`", f"{m.start(name):.2f}") for name in m.start_up[0]]
+    return table(("command", "seconds"), rows)
+
+
+def reached(m: Measured) -> str:
+    """The targets."""
+    rows = [
+        (t.name, t.wanted, f"{significant(t.measured)}{t.unit}", "met" if t.met else "not met")
+        for t in targets(m)
+    ]
+    return table(("", "target", "measured", ""), rows)
+
+
+def document(m: Measured, load: str, figure: str | None) -> str:
+    """All tables, with what was measured and on what.
+
+    Args:
+        m: the measurements.
+        load: load average before the run.
+        figure: file name of the scaling figure, if there is one.
+    """
+    s = m.settings
+    plain_trials = s.alone * s.repeats
+    machine = [*description(), ("load average before", load)]
+    whole = s.cap == CAP and s.lanes_cap == CAP
+    picture = f"![Frames per second against the number of trials]({figure})\n\n" if figure else ""
+    note = "" if whole else f"{SHORTENED.format(s.cap, s.lanes_cap)}\n\n"
+    return f"""# Speed
+
+{note}{table(("", "this machine"), machine, left=2)}
+
+CartPole-v1, linear policy, REINFORCE with Adam. Timed is training alone, after imports and \
+compilation, in whole runs: until the last trial has converged or reached {s.cap:,} iterations. \
+Everything is from one run of `benchmarks/speed.py`: medians over all rounds, of which \
+there were {s.repeats}, or {s.slow_repeats} for the lanes and for {max(SIZES):,} trials. Each \
+round runs everything once, so that noise of the machine hits all alike.
+
+## Frames per second, softmax
+
+{picture}{speeds(m)}
+
+- plain loop: gymnasium and numpy (`plain.py`), {s.alone} trials in each round, one after the other.
+- TorchRL, stock: TorchRL's `Collector` over one `GymEnv` with the same transforms, the weights \
+of a trained policy and the strategy; collection only, {s.stock_frames:,} frames in each round.
+- TorchRL, lanes: `TorchRLCollector`, a whole run with its updates; *busy lanes* are the \
+unfinished ones in a step, on average.
+- fused: `FusedCollector`, a whole run with its updates; 1 trial: {s.alone} trials in each round, \
+one after the other.
+- Dashed in the figure is what runs one trial after the other, however many there are.
+
+## The thesis: five strategies, {THESIS_TRIALS} trials each
+
+{thesis(m)}
+
+Fused: five jobs in one process, one thread. Plain: the time for the same number of frames, at the \
+median speed over {plain_trials} trials of each strategy, {s.alone} different ones in each round.
+
+## Where the time of an iteration goes
+
+{iteration(m)}
+
+Softmax, one thread, averaged over whole runs, in which ever fewer trials are active. *Optimiser* \
+includes the zeroing of gradients; *rest* is the loop, the schedules and the test for divergence.
+
+## Start-up
+
+{start_up(m)}
+
+Whole processes, caches warm. *import torchrl* imports its environments, collectors and \
+objectives; `train.py` trains {THESIS_TRIALS} softmax trials and writes their files.
+
+## Memory
+
+Peak resident memory of a process that trains {max(SIZES):,} softmax trials: {m.memory[1]:.2f} GB, \
+{m.memory[0]:.2f} GB of which are there after the imports.
+
+## Targets
+
+{reached(m)}
+"""
+
+
+SHORTENED = (
+    "**Shortened runs, to try the program: at most {} iterations, {} of the lanes. "
+    "Not a measurement.**"
+)

@@ -1,0 +1,442 @@
+from __future__ import annotations
+
+import itertools
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf.errors import OmegaConfBaseException
+
+from trl_explore import config as configuration
+from trl_explore.config import (
+    CONF,
+    GROUPS,
+    INERT,
+    ConfigError,
+    build_trainer,
+    check_keys,
+    describe,
+    differences,
+    job_name,
+    resolved,
+)
+
+EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
+FILES = [(group, path.stem) for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
+MANDATORY = {("env", "gym"): ["env.id=Acrobot-v1", "env.max_steps=20"]}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def hydra():
+    configuration.register_resolvers()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        yield
+
+
+def composed(*overrides: str) -> tuple[DictConfig, dict[str, Any]]:
+    """The configuration of a job as ``scripts/train.py`` gets it, and the choices of its groups."""
+    config = compose("train", overrides=list(overrides), return_hydra_config=True)
+    choices = dict(config.hydra.runtime.choices)
+    with open_dict(config):
+        config.pop("hydra")
+    return config, choices
+
+
+def name(*overrides: str) -> str:
+    config, choices = composed(*overrides)
+    return job_name(config, choices)
+
+
+# Files
+
+
+def test_every_folder_of_conf_is_a_group():
+    folders = {path.name for path in CONF.iterdir() if path.is_dir()}
+    assert folders - {"hydra"} == {*GROUPS, "experiment"}
+
+
+@pytest.mark.parametrize(("group", "option"), FILES)
+def test_every_file_of_every_group_builds(group, option):
+    overrides = [f"{group}={option}", "trials=2", *MANDATORY.get((group, option), [])]
+    config, choices = composed(*overrides)
+    assert choices[group] == option
+    check_keys(config, choices)
+    resolved(config)
+    trainer = build_trainer(config)
+    assert len(trainer.trials) == trainer.collector.trials == 2
+    data = trainer.collector.collect()
+    assert data["next", "done"].sum() == 2
+    trainer.collector.shutdown()
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_every_experiment_builds(experiment):
+    config = compose("train", overrides=[f"experiment={experiment}"], return_hydra_config=True)
+    assert config.hydra.runtime.choices.experiment == experiment
+    params = config.hydra.sweeper.params or {}
+    keys, values = list(params), [str(params[key]).split(",") for key in params]
+    names = set()
+    for point in itertools.product(*values):
+        overrides = [f"{key}={value}" for key, value in zip(keys, point, strict=True)]
+        job, choices = composed(f"experiment={experiment}", *overrides)
+        check_keys(job, choices)
+        job.trials = 1
+        build_trainer(job)
+        names.add(job_name(job, choices))
+    assert len(names) == len(list(itertools.product(*values)))
+
+
+def sweep(experiment: str) -> tuple[DictConfig, dict[str, str]]:
+    config = compose("train", overrides=[f"experiment={experiment}"], return_hydra_config=True)
+    return config, dict(config.hydra.sweeper.params)
+
+
+def test_the_experiments_are_those_of_the_thesis():
+    thesis, params = sweep("thesis")
+    assert thesis.hydra.mode.name == "MULTIRUN"
+    assert (thesis.trials, thesis.max_iterations) == (30, 1000)
+    assert set(params) == {"strategy"}
+    assert set(params["strategy"].split(",")) == {
+        "random", "argmax", "epsilon_greedy", "decaying_epsilon_greedy", "softmax",
+    }  # fmt: skip
+    assert (thesis.score_threshold, thesis.score_window) == (195.0, 100)
+    assert (thesis.loss.gamma, thesis.optimizer.lr) == (0.99, 0.05)
+    assert (thesis.env.id, thesis.env.max_steps) == ("CartPole-v1", 500)
+
+    grid, params = sweep("epsilon_grid")
+    assert (grid.trials, grid.max_iterations, grid.hydra.mode.name) == (20, 1000, "MULTIRUN")
+    assert grid.hydra.runtime.choices.strategy == "epsilon_greedy"
+    epsilons = [float(value) for value in params["strategy.epsilon"].split(",")]
+    assert epsilons == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]
+
+    grid, params = sweep("decay_grid")
+    assert (grid.trials, grid.max_iterations, grid.hydra.mode.name) == (20, 5000, "MULTIRUN")
+    assert grid.hydra.runtime.choices.strategy == "decaying_epsilon_greedy"
+    decays = [float(value) for value in params["strategy.decay"].split(",")]
+    assert decays == [0.9, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999]
+
+
+def test_the_defaults():
+    config, choices = composed()
+    assert (config.trials, config.first_trial, config.seed) == (30, 0, 0)
+    assert (config.max_iterations, config.score_threshold, config.score_window) == (1000, 195, 100)
+    assert (choices["strategy"], choices["env"]) == ("softmax", "cartpole")
+    assert config.strategy.temperature == 1.0
+    assert composed("strategy=epsilon_greedy")[0].strategy.epsilon == 0.3
+    assert composed("strategy=decaying_epsilon_greedy")[0].strategy.decay == 0.99
+    # The thesis multiplies the loss with the learning rate (appendix A.3).
+    assert composed("optimizer.lr=0.2")[0].loss.weight == 0.2
+
+
+# Names
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        ((), "softmax,temperature=1.0"),
+        (("strategy=argmax",), "argmax"),
+        (("strategy.temperature=0.5",), "softmax,temperature=0.5"),
+        (("strategy=epsilon_greedy", "strategy.epsilon=0.1"), "epsilon_greedy,epsilon=0.1"),
+        (("strategy=epsilon_greedy", "strategy.epsilon=0.3"), "epsilon_greedy,epsilon=0.3"),
+        (("strategy=epsilon_greedy",), "epsilon_greedy,epsilon=0.3"),
+        (("strategy=argmax", "seed=3"), "argmax,seed=3"),
+        (("seed=3",), "softmax,temperature=1.0,seed=3"),
+        (("strategy=argmax", "trials=30", "seed=0"), "argmax"),
+        (("strategy=argmax", "collector=torchrl"), "argmax,collector=torchrl"),
+        (("strategy=argmax", "loss.gamma=0.9", "seed=1"), "argmax,loss.gamma=0.9,seed=1"),
+        (("strategy=argmax", "optimizer.lr=0.1"), "argmax,optimizer.lr=0.1"),
+        (("strategy=argmax", "env=gym", "env.id=Acrobot-v1"), "argmax,env=gym,env.id=Acrobot-v1"),
+    ],
+)
+def test_names_of_jobs(overrides, expected):
+    assert name(*overrides) == expected
+
+
+@pytest.mark.parametrize(
+    ("key", "spellings"),
+    [
+        ("strategy.temperature", ["1", "1.0", "1e0", "1.00", "+1.0"]),
+        ("strategy.temperature", ["2", "2.0", "2e0", "20e-1"]),
+        ("optimizer.lr", ["0.1", "0.10", "1e-1", ".1"]),
+        ("score_threshold", ["195", "195.0"]),
+        ("score_threshold", ["100", "100.0"]),
+        ("strategy.temperature", ["[1,2]", "[1, 2]"]),
+    ],
+)
+def test_one_value_has_one_name_however_it_is_spelt(key, spellings):
+    assert len({name(f"{key}={spelling}") for spelling in spellings}) == 1
+
+
+def test_different_values_never_share_a_name():
+    overrides = [
+        (),
+        ("strategy=argmax",),
+        ("strategy=random",),
+        ("strategy=epsilon_greedy",),
+        ("strategy=epsilon_greedy", "strategy.epsilon=0.1"),
+        ("strategy=epsilon_greedy", "strategy.epsilon=0.1000001"),
+        ("strategy=epsilon_greedy", "strategy.epsilon=[0.1]"),
+        ("strategy=epsilon_greedy", "strategy.epsilon=[0.1,0.2]"),
+        ("strategy=epsilon_greedy", "strategy.epsilon=[0.1,0.3]"),
+        ("strategy=decaying_epsilon_greedy",),
+        ("strategy=decaying_epsilon_greedy", "strategy.decay=0.9"),
+        *((f"strategy.temperature={t}",) for t in (0, 0.5, 5, 1e-5, 1e5, "null", "x")),
+        *((f"seed={seed}",) for seed in (1, 2, 11, "1.5", "true", "null")),
+        *((f"trials={trials}",) for trials in (1, 2, 29, 300)),
+        *((f"first_trial={first}",) for first in (1, 7)),
+        ("first_trial=1", "trials=1"),
+        ("first_trial=1", "seed=1"),
+        *((f"max_iterations={cap}",) for cap in (10, 100)),
+        *((f"score_threshold={threshold}",) for threshold in (10, 10.5)),
+        *((f"score_window={window}",) for window in (10, 11)),
+        *((f"loss.gamma={gamma}",) for gamma in (0, 0.9, 1)),
+        *((f"optimizer.lr={lr}",) for lr in (0.01, 0.1)),
+        ("optimizer.lr=0.1", "loss.weight=0.05"),
+        ("loss.weight=0.1",),
+        ("loss.baseline=1",),
+        ("loss.reduction=none",),
+        ("env.max_steps=200",),
+        ("env.max_steps=null",),
+        ("env.id=Acrobot-v1",),
+        ("env=gym", "env.id=CartPole-v1"),
+        ("env=gym", "env.id=Acrobot-v1"),
+        ("env=gym", "env.id=ALE/Pong-v5"),
+        ("env=gym", "env.id=ALE-Pong-v5"),
+        ("env=gym", "env.id=ALE%2FPong-v5"),
+        *(
+            ("env=gym", "env.id=FrozenLake-v1", f"+env.kwargs.{argument}")
+            for argument in (
+                "is_slippery=false",
+                "is_slippery=true",
+                "map_name=8x8",
+                "map_name=null",
+            )
+        ),
+        ("env=gym", "env.id=FrozenLake-v1"),
+        ("collector=torchrl",),
+    ]
+    names = [name(*entry) for entry in overrides]
+    shared = {n: [o for o, m in zip(overrides, names, strict=True) if m == n] for n in names}
+    assert {n: entries for n, entries in shared.items() if len(entries) > 1} == {}
+
+
+@pytest.mark.parametrize(
+    "override", ["output_dir=elsewhere", "restart=true", "threads=2", "episodes=false"]
+)
+def test_what_changes_no_result_is_not_in_the_name(override):
+    assert override.split("=")[0] in INERT
+    assert name("strategy=argmax", override) == "argmax"
+
+
+def test_the_name_depends_on_the_experiment_through_its_folder_only():
+    debug = ["experiment=debug", "strategy=argmax"]
+    assert name(*debug) == "argmax"
+    assert name(*debug, "trials=4") == "argmax,trials=4"
+    assert name(*debug, "trials=30") == "argmax,trials=30"
+    config = compose("train", overrides=debug, return_hydra_config=True)
+    assert config.hydra.run.dir == "outputs/debug/argmax"
+    assert config.hydra.sweep.dir == "outputs/debug"
+    assert config.hydra.sweep.subdir == "argmax"
+    plain = compose("train", overrides=["strategy=argmax"], return_hydra_config=True)
+    assert plain.hydra.run.dir == "outputs/train/argmax"
+
+
+def test_names_are_names_of_one_folder():
+    for overrides in (("env=gym", "env.id=ALE/Pong-v5"), ("env=gym", "env.id='a b\\c:d'")):
+        assert Path(name(*overrides)).name == name(*overrides)
+        assert set(name(*overrides)).isdisjoint(set('/\\:*?"<>| \n'))
+
+
+def test_a_long_name_is_short_and_still_its_own():
+    lists = [",".join(f"0.{k}" for k in range(n)) for n in (100, 101)]
+    names = [name("strategy=epsilon_greedy", f"strategy.epsilon=[{values}]") for values in lists]
+    assert names[0] != names[1]
+    assert all(len(n) < 255 and n.startswith("epsilon_greedy,epsilon=") for n in names)
+    assert names[0] == name("strategy=epsilon_greedy", f"strategy.epsilon=[{lists[0]}]")
+
+
+# Checks
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("+foo=1", r"unknown key 'foo'; known: .*seed.*trials"),
+        ("+strategy.epsilon=0.1", r"unknown key 'strategy.epsilon'; strategy=softmax has: temper"),
+        ("+loss.gama=1", r"unknown key 'loss.gama'; loss=reinforce has: .*gamma"),
+        ("+env.steps=1", r"unknown key 'env.steps'; env=cartpole has: id, kwargs, max_steps"),
+        ("+optimizer.betas=[0,0]", r"unknown key 'optimizer.betas'; optimizer=adam has: lr"),
+        ("+policy.bias=true", r"unknown key 'policy.bias'; policy=linear has: no keys"),
+    ],
+)
+def test_keys_that_do_not_exist(override, message):
+    config, choices = composed(override)
+    with pytest.raises(ConfigError, match=message) as error:
+        check_keys(config, choices)
+    assert "\n" not in str(error.value)
+
+
+def test_arguments_of_an_environment_are_free():
+    check_keys(*composed("env=gym", "env.id=FrozenLake-v1", "+env.kwargs.is_slippery=false"))
+
+
+def test_a_mandatory_value():
+    with pytest.raises(ConfigError, match=r"env\.id must be set, e\.g\. env\.id="):
+        resolved(composed("env=gym")[0])
+
+
+def test_an_interpolation_that_fails():
+    with pytest.raises(ConfigError, match="nowhere") as error:
+        resolved(composed("seed=${nowhere}")[0])
+    assert "\n" not in str(error.value)
+
+
+WRONG = [
+    (("trials=0",), "trials must be an integer >= 1, got 0"),
+    (("trials=2.5",), "trials must be an integer >= 1, got 2.5"),
+    (("trials=many",), "trials must be an integer >= 1, got 'many'"),
+    (("seed=-1",), "seed must be an integer >= 0, got -1"),
+    (("seed=true",), "seed must be an integer >= 0, got True"),
+    (("first_trial=-1",), "first_trial must be an integer >= 0, got -1"),
+    (("threads=0",), "threads must be an integer >= 1, got 0"),
+    (("max_iterations=0",), "max_iterations must be an integer >= 1, got 0"),
+    (("score_window=0",), "score_window must be an integer >= 1, got 0"),
+    (("score_threshold=nan",), "score_threshold must be a number that is finite, got nan"),
+    (("strategy.temperature=0",), "strategy: temperature must be a number > 0, got 0"),
+    (("strategy.temperature=-1",), "strategy: temperature must be a number > 0, got -1"),
+    (("strategy.temperature=nan",), "strategy: temperature must be a number > 0, got nan"),
+    (("strategy.temperature=inf",), "strategy: temperature must be a number > 0, got inf"),
+    (("strategy.temperature=hot",), "strategy: temperature must be a number > 0, got 'hot'"),
+    *(
+        (
+            ("strategy=epsilon_greedy", f"strategy.epsilon={value}"),
+            f"strategy: epsilon must be a number in [0, 1], got {value}",
+        )
+        for value in ("1.5", "-0.1", "nan")
+    ),
+    (
+        ("strategy=epsilon_greedy", "strategy.epsilon=[0.1,0.2,0.3]", "trials=2"),
+        "has 3 values, but there are 2 trials",
+    ),
+    (("strategy=epsilon_greedy", "strategy.epsilon=[0.1,2]", "trials=2"), "in [0, 1], got 2"),
+    (
+        ("strategy=decaying_epsilon_greedy", "strategy.decay=1.1"),
+        "strategy: decay must be a number in [0, 1], got 1.1",
+    ),
+    (("optimizer.lr=-0.1",), "optimizer: lr must be a number > 0, got -0.1"),
+    (("optimizer.lr=0",), "optimizer: lr must be a number > 0, got 0"),
+    (("loss.gamma=1.01",), "loss: gamma must be a number in [0, 1], got 1.01"),
+    (("loss.gamma=nan",), "loss: gamma must be a number in [0, 1], got nan"),
+    (("loss.reduction=mean",), "loss: reduction 'mean' couples the trials"),
+    (("loss.reduction=max",), "loss: reduction must be one of sum, mean, none, got 'max'"),
+    (("env.max_steps=0",), "env: max_steps must be an integer >= 1, got 0"),
+    (("env.id=NoSuch-v0",), "env: unknown environment id 'NoSuch-v0'"),
+    (("env.id=Pendulum-v1",), "env: environment 'Pendulum-v1' has action space Box"),
+    (("env.id=Blackjack-v1",), "env: environment 'Blackjack-v1' has observation space Tuple"),
+    (
+        ("env.id=CliffWalking-v1", "env.max_steps=null"),
+        "has no time limit of its own; set max_steps",
+    ),
+    (("env.id=3",), "env: environment 3"),
+    (("env.id=null",), "env: environment None"),
+    (("env.kwargs=3",), "env: "),
+    (("+env.kwargs.nonsense=1",), "nonsense"),
+    (("env=gym", "env.id=FrozenLake-v1", "+env.kwargs.map_name=no"), "'no'"),
+]
+
+
+@pytest.mark.parametrize(("overrides", "message"), WRONG, ids=[" ".join(w[0]) for w in WRONG])
+def test_wrong_values_are_one_line(overrides, message):
+    with pytest.raises(ConfigError) as error:
+        build_trainer(composed(*overrides)[0])
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("strategy=boltzmann", "there is no strategy=boltzmann; available: argmax, "),
+        ("env=pong", "there is no env=pong; available: cartpole, gym"),
+        ("experiment=no", "there is no experiment=no; available: debug, "),
+        ("foo=1", "unknown key 'foo'; --help lists the keys"),
+        ("strategy.epsilon=1", "unknown key 'strategy.epsilon'; --help lists the keys"),
+        ("strategy.temperature=[1", ""),
+        ("=", ""),
+    ],
+)
+def test_what_hydra_refuses_is_described_in_one_line(override, message):
+    with pytest.raises((HydraException, OmegaConfBaseException)) as error:
+        composed(override)
+    text = describe(error.value)
+    assert text.startswith(message)
+    assert text
+    assert "\n" not in text
+
+
+def test_errors_of_the_file_system_in_one_line():
+    error = PermissionError(13, "Permission denied", "/there")
+    assert describe(error) == "cannot write /there: Permission denied"
+    assert describe(ValueError()) == "ValueError"
+
+
+def test_differences():
+    old = {"seed": 0, "env": {"id": "a", "max_steps": 500}, "output_dir": "x", "restart": False}
+    assert differences(old, old) == []
+    assert differences(old, {**old, "output_dir": "y", "restart": True, "threads": 4}) == []
+    assert differences(old, {**old, "seed": 1}) == ["seed: 0 there, 1 here"]
+    assert differences(old, {**old, "seed": 0.0}) == []
+    assert differences(old, {**old, "seed": False}) == ["seed: 0 there, False here"]
+    assert differences(old, {**old, "env": {"id": "b", "max_steps": 9}}) == [
+        "env.id: a there, b here",
+        "env.max_steps: 500 there, 9 here",
+    ]
+    # Within a group the names of the free keys are results' keys again.
+    assert differences({"env": {"threads": 1}}, {"env": {"threads": 2}}) == [
+        "env.threads: 1 there, 2 here"
+    ]
+
+
+# Building
+
+
+def test_what_is_built_follows_the_configuration():
+    config, _ = composed(
+        "trials=3", "seed=4", "first_trial=6", "max_iterations=77", "score_window=5",
+        "score_threshold=12", "env.max_steps=33", "loss.gamma=0.5", "loss.weight=2",
+        "loss.baseline=1", "optimizer.lr=0.25", "strategy=epsilon_greedy", "strategy.epsilon=0.7",
+    )  # fmt: skip
+    trainer = build_trainer(config)
+    trials, lanes, loss = trainer.trials, trainer.collector.lanes, trainer.loss
+    assert (len(trials), trials.max_iterations, trials.score_window) == (3, 77, 5)
+    assert trials.score_threshold == 12.0
+    assert (lanes.id, lanes.num_envs, lanes.max_steps) == ("CartPole-v1", 3, 33)
+    assert (lanes.seed, lanes.first_trial) == (4, 6)
+    assert (loss.gamma, loss.weight, loss.baseline, loss.trials) == (0.5, 2.0, 1.0, 3)
+    assert trainer.optimizer.lr == 0.25
+    assert trainer.collector.strategy.mixture().uniform == 0.7
+    policy = trainer.collector.policy[0]
+    assert trainer.optimizer.parameters[0] is policy.weight
+    again = build_trainer(composed("trials=1", "seed=4", "first_trial=8")[0])
+    assert (policy.weight[2] == again.collector.policy[0].weight[0]).all()
+
+
+def test_importing_the_module_imports_no_torch():
+    code = "import sys, trl_explore.config; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_strategies_know_every_argument_by_their_yaml():
+    """A mistyped override fails when the configuration is composed: no key is optional."""
+    for path in sorted((CONF / "strategy").glob("*.yaml")):
+        keys = set(OmegaConf.load(path)) - {"_target_"}
+        config, _ = composed(f"strategy={path.stem}")
+        assert set(config.strategy) - {"_target_"} == keys
+        with pytest.raises((HydraException, OmegaConfBaseException)):
+            composed(f"strategy={path.stem}", "strategy.nonsense=1")
