@@ -393,3 +393,47 @@ def test_the_columns_are_those_of_the_documentation():
         "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
     )  # fmt: skip
     assert results.EPISODE_COLUMNS[:3] == ("trial", "iteration", "score")
+
+
+def test_weights_are_read_back(job):
+    import torch
+    from safetensors.torch import load_file
+
+    weights = results.read_weights(job)
+    saved = load_file(job / "weights.safetensors")
+    assert set(weights) == set(saved)
+    for name, weight in weights.items():
+        assert torch.equal(torch.from_numpy(weight), saved[name])
+    (job / "weights.safetensors").write_bytes(b"{}")
+    with pytest.raises(results.ResultsError, match="not readable as weights"):
+        results.read_weights(job)
+    (job / "weights.safetensors").unlink()
+    with pytest.raises(results.ResultsError, match="missing"):
+        results.read_weights(job)
+
+
+@pytest.mark.parametrize("cut", ["row", "number"])
+def test_truncated_episodes_are_noticed(job, cut):
+    path = job / "episodes.csv"
+    assert len(results.read_episodes(job))
+    text = path.read_text()
+    shorter = text[: text.rstrip("\n").rindex("\n") + 1] if cut == "row" else text[:-2] + "\n"
+    path.write_text(shorter)
+    with pytest.raises(results.ResultsError, match=r"episodes\.csv"):
+        results.read_episodes(job)
+
+
+def test_damaged_curves_are_one_line(job):
+    path = job / "scalars" / "score.csv"
+    path.write_text(path.read_text().replace("\n", "\nx,", 1))
+    with pytest.raises(results.ResultsError, match="scalars"):
+        results.read_curves(job)
+
+
+@pytest.mark.parametrize("key", ["versions", "machine"])
+def test_an_incomplete_record_is_one_line(job, key):
+    run = json.loads((job / "run.json").read_text())
+    del run[key]
+    (job / "run.json").write_text(json.dumps(run))
+    with pytest.raises(results.ResultsError, match=key):
+        results.read_job(job)

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 CONF = Path(__file__).resolve().parent.parent / "conf"
 GROUPS = ("env", "policy", "strategy", "loss", "optimizer", "collector")
-FREE = ("env.kwargs",)
-"""Keys below which anything may be added."""
 INERT = ("output_dir", "restart", "threads", "episodes", "collector.threads")
 """Keys that change no result: they are not part of a job's name or identity."""
 

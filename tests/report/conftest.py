@@ -1,0 +1,133 @@
+"""Sweeps of invented results, written as files, so that the report runs as it does for a user."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from trl_explore.analysis.outcomes import Outcomes
+from trl_explore.results import read_job
+
+
+def write_job(
+    sweep: Path,
+    name: str,
+    durations: Any,
+    *,
+    strategy: str = "softmax",
+    experiment: str | None = None,
+    parameters: dict[str, Any] | None = None,
+    cap: int = 1000,
+    seed: int = 0,
+    diverged: tuple[int, ...] = (),
+    episodes: bool = True,
+    env: str = "CartPole-v1",
+) -> Path:
+    """A finished job whose trials took ``durations``; those at the cap were stopped there."""
+    job = sweep / name
+    (job / ".hydra").mkdir(parents=True)
+    (job / ".hydra" / "overrides.yaml").write_text(f"- strategy={strategy}\n- output_dir=/x\n")
+    lines, rows = [], []
+    for k, n in enumerate(durations):
+        passed = n < cap and k not in diverged
+        status = "diverged" if k in diverged else "converged" if passed else "capped"
+        score = 196.0 + k / 100 if passed else 20.0 + k
+        frames = 20 * n + k + 1
+        lines.append(f"{k},{seed},{n},{passed},{score},{frames},0.5,{status}")
+        rows += [f"{k},{i},{score * min(1.0, i / n)},20" for i in range(1, n + 1, max(1, n // 8))]
+        rows.append(f"{k},{n},{score},20") if (n - 1) % max(1, n // 8) else None
+    header = "trial,seed,iterations,converged,score,frames,seconds,status"
+    (job / "trials.csv").write_text("\n".join([header, *lines]) + "\n")
+    if episodes:
+        (job / "episodes.csv").write_text("\n".join(["trial,iteration,score,frames", *rows]) + "\n")
+    run = {
+        "experiment": experiment or sweep.name,
+        "strategy": strategy,
+        "seed": seed,
+        "trials": len(lines),
+        "collector": "FusedCollector",
+        "seconds": 1.5,
+        "config": {
+            "max_iterations": cap,
+            "score_threshold": 195.0,
+            "score_window": 100,
+            "env": {"id": env},
+            "strategy": {"_target_": "x", **(parameters or {})},
+        },
+        "versions": {"python": "3.11.7", "torch": "2.13.0"},
+        "machine": {"system": "Linux", "processor": "x86_64"},
+    }
+    (job / "run.json").write_text(json.dumps(run))
+    return job
+
+
+@pytest.fixture(scope="session")
+def make_job() -> Callable[..., Path]:
+    return write_job
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Callable[..., Outcomes]:
+    """Outcomes of an invented job."""
+
+    def outcomes(durations: Any, **kwargs: Any) -> Outcomes:
+        count = len(list(tmp_path.iterdir()))
+        name = kwargs.pop("name", kwargs.get("strategy", "softmax"))
+        sweep = tmp_path / f"made{count}" / kwargs.pop("sweep", "thesis")
+        return read_job(write_job(sweep, name, durations, **kwargs))
+
+    return outcomes
+
+
+def write_study(folder: Path, trials: int = 12) -> Path:
+    """The three experiments of the thesis, in miniature, with timings."""
+    rng = np.random.default_rng(7)
+    medians = {"random": 1000, "argmax": 800, "epsilon_greedy": 380,
+               "decaying_epsilon_greedy": 190, "softmax": 150}  # fmt: skip
+    parameters = {"epsilon_greedy": {"epsilon": 0.3}, "decaying_epsilon_greedy": {"decay": 0.99},
+                  "softmax": {"temperature": 1.0}}  # fmt: skip
+
+    def durations(median: float, cap: int, n: int) -> list[int]:
+        drawn = (median * np.exp(rng.normal(0, 0.35, n))).astype(int)
+        return [cap] * n if median >= cap else np.clip(drawn, 100, cap).tolist()
+
+    timings = ["experiment,job,trial,seconds,frames"]
+    for name, median in medians.items():
+        taken = durations(median, 1000, trials)
+        write_job(folder / "thesis", name, taken, strategy=name, parameters=parameters.get(name))
+        timings += [f"thesis,{name},{k},{n / 4000:.6f},1" for k, n in enumerate(taken[:8])]
+    (folder / "thesis" / "timings.csv").write_text("\n".join(timings) + "\n")
+    for k, epsilon in enumerate((0.1, 0.2, 0.3, 0.5)):
+        taken = durations((400, 300, 380, 1000)[k], 1000, 6)
+        write_job(folder / "epsilon_grid", f"epsilon={epsilon}", taken,
+                  strategy="epsilon_greedy", parameters={"epsilon": epsilon})  # fmt: skip
+    for k, decay in enumerate((0.9, 0.98, 0.99)):
+        taken = durations((4000, 300, 200)[k], 5000, 6)
+        write_job(folder / "decay_grid", f"decay={decay}", taken, cap=5000,
+                  strategy="decaying_epsilon_greedy", parameters={"decay": decay})  # fmt: skip
+    return folder
+
+
+class Made(NamedTuple):
+    """A report that was made: its folder, its page, and what was missing."""
+
+    study: Path
+    out: Path
+    html: str
+    gaps: list[Any]
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """The report on the miniature study."""
+    from trl_explore.report.build import build_report
+
+    study = write_study(tmp_path_factory.mktemp("study"))
+    out = tmp_path_factory.mktemp("out")
+    page, gaps = build_report([study], out, resamples=299)
+    return Made(study, out, page.read_text(encoding="utf-8"), gaps)

@@ -1,0 +1,76 @@
+import numpy as np
+
+from trl_explore.report.build import build_report
+from trl_explore.report.curves import running_scores
+from trl_explore.report.evidence import gather
+from trl_explore.report.groups import group_jobs
+from trl_explore.report.loading import load
+
+
+def test_different_caps_stand_in_one_report_but_are_not_compared(tmp_path, make_job):
+    for cap in (500, 1000):
+        for strategy in ("softmax", "argmax"):
+            make_job(tmp_path / "train", f"{strategy},{cap}", [150, 200, cap], strategy=strategy,
+                     cap=cap)  # fmt: skip
+    groups = gather(load([tmp_path]), resamples=99).groups
+    assert [g.group.cap for g in groups] == [1000, 500]
+    assert all(len(g.comparisons) == 1 for g in groups)
+    assert len({g.group.id for g in groups}) == 2
+    build_report([tmp_path], tmp_path / "out", resamples=99)
+
+
+def test_different_environments_are_not_compared(tmp_path, make_job):
+    make_job(tmp_path / "train", "a", [150, 200], env="CartPole-v1")
+    make_job(tmp_path / "train", "b", [150, 200], env="Acrobot-v1", strategy="argmax")
+    assert len(group_jobs(load([tmp_path]).jobs)) == 2
+
+
+def test_seeds_of_a_configuration_are_pooled(tmp_path, make_job):
+    for seed in (0, 1):
+        make_job(tmp_path / "train", f"softmax,seed={seed}", [150, 200], seed=seed)
+    (group,) = group_jobs(load([tmp_path]).jobs)
+    assert [len(c) for c in group.configurations] == [4]
+
+
+def test_trials_that_two_folders_share_count_once(tmp_path, make_job):
+    for copy in ("one", "two"):
+        make_job(tmp_path / copy / "train", "softmax", [150, 200])
+    (group,) = group_jobs(load([tmp_path]).jobs)
+    assert [len(c) for c in group.configurations] == [2]
+
+
+def test_configurations_of_one_name_are_both_kept(tmp_path, make_job):
+    for temperature in (1.0, 2.0):
+        make_job(tmp_path / str(temperature) / "train", "softmax", [150, 200],
+                 parameters={"temperature": temperature})  # fmt: skip
+    (group,) = group_jobs(load([tmp_path]).jobs)
+    assert list(group.labels.values()) == ["T = 1", "T = 2"]
+    assert len(gather(load([tmp_path]), resamples=99).groups[0].comparisons) == 1
+
+
+def test_one_strategy_alone_one_trial_alone_and_nothing_converged(tmp_path, make_job):
+    for name, durations in {"alone": [150, 170], "single": [150], "never": [1000, 1000]}.items():
+        make_job(tmp_path / name, "softmax", durations)
+        page, gaps = build_report([tmp_path / name], tmp_path / "out" / name, resamples=99)
+        html = page.read_text()
+        assert not gaps
+        assert "Only softmax was run" in html
+        assert "None of the thesis" in html
+        assert "No comparison: there is only one configuration." in html
+
+
+def test_a_diverged_trial_is_counted_and_named(tmp_path, make_job):
+    make_job(tmp_path / "train", "softmax", [150, 40, 200], diverged=(1,))
+    page, _ = build_report([tmp_path], tmp_path / "out", resamples=99)
+    assert "2 of 3, 1 diverged" in page.read_text()
+
+
+def test_running_scores_by_hand():
+    import pandas as pd
+
+    episodes = pd.DataFrame(
+        {"trial": [0, 0, 0, 1], "iteration": [1, 2, 3, 1], "score": [10.0, 20.0, 40.0, 7.0]}
+    )
+    table = running_scores(episodes, 2, np.array([1, 2, 3, 5]))
+    # Trial 0: means of the last two; trial 1 stopped after one episode and keeps its score.
+    assert table.T.tolist() == [[10.0, 15.0, 30.0, 30.0], [7.0, 7.0, 7.0, 7.0]]

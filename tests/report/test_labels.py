@@ -1,0 +1,31 @@
+from trl_explore.report.labels import (
+    configuration_labels,
+    natural_order,
+    readable,
+    swept_parameter,
+)
+
+
+def test_strategies_are_called_by_their_names(make):
+    jobs = [make([200], strategy=s) for s in ("softmax", "decaying_epsilon_greedy")]
+    assert list(configuration_labels(jobs).values()) == ["softmax", "decaying ε-greedy"]
+    assert swept_parameter(jobs) is None
+
+
+def test_values_of_one_parameter_are_named_by_it_and_ordered_by_number(make):
+    jobs = [make([200], name=f"t{t}", parameters={"temperature": t}) for t in (10.0, 2.0, 0.5)]
+    ordered = natural_order(jobs)
+    labels = configuration_labels(ordered)
+    assert [labels[c.name] for c in ordered] == ["T = 0.5", "T = 2", "T = 10"]
+    assert swept_parameter(jobs) == "T"
+
+
+def test_labels_that_would_be_equal_are_replaced_by_names(make):
+    jobs = [make([200], name="one"), make([200], name="two")]
+    assert configuration_labels(jobs) == {"one": "one", "two": "two"}
+
+
+def test_evidence_reads_with_signs_and_names():
+    text = "decaying_epsilon_greedy minus epsilon_greedy -282.5 iterations, p = 1e-04 (4-5)"
+    expected = "decaying ε-greedy minus ε-greedy −282.5 iterations, p = 1e-04 (4-5)"
+    assert readable(text) == expected

@@ -1,0 +1,37 @@
+from matplotlib.figure import Figure
+
+from trl_explore.report.render import to_png, to_svg
+from trl_explore.report.style import visual_language
+
+
+def figure(text: str = "a") -> Figure:
+    with visual_language():
+        made = Figure(figsize=(2, 2), layout="constrained")
+        ax = made.subplots()
+        ax.plot([1, 2, 3], marker="o", clip_on=True)
+        ax.set_title(text)
+    return made
+
+
+def test_svg_and_png_are_the_same_bytes_each_time():
+    assert to_svg(figure()) == to_svg(figure())
+    assert to_png(figure()) == to_png(figure())
+
+
+def test_svg_has_no_date_and_no_version():
+    svg = to_svg(figure())
+    assert "<dc:date>" not in svg
+    assert "matplotlib.org" not in svg
+
+
+def test_png_has_no_version_and_is_fine_enough_for_print():
+    png = to_png(figure())
+    assert b"Matplotlib" not in png
+    assert int.from_bytes(png[16:20], "big") == 400
+
+
+def test_names_are_drawn_as_they_are_written():
+    # No mathematics, and no warning for a character that the font lacks.
+    for text in ("$\\frac{$", "a_b^c", "<script>", "\u4e2d\u6587"):
+        assert to_svg(figure(text))
+        assert to_png(figure(text))
