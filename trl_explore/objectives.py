@@ -144,42 +144,40 @@ class ReinforceLoss(LossModule):
     @dispatch  # pyright: ignore[reportArgumentType] - it is its own decorator
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The losses of a batch of episodes."""
-        advantage = self.advantage(tensordict)
-        trial, trials = self._trial(tensordict, advantage)
         mask = self._mask(tensordict)
+        factor = self._advantage(tensordict, mask).mul_(-self.weight)
+        trial, trials = self._trial(tensordict, factor)
         if mask is not None:
-            tensordict, advantage, trial = tensordict[mask], advantage[mask], trial[mask]
-        tensordict = tensordict if advantage.ndim == 1 else tensordict.reshape(-1)
+            tensordict, factor, trial = tensordict[mask], factor[mask], trial[mask]
+        if factor.ndim > 1:
+            tensordict, factor, trial = (
+                tensordict.reshape(-1),
+                factor.reshape(-1),
+                trial.reshape(-1),
+            )
         action = _entry(tensordict, self.tensor_keys.action)
         with self._with_parameters():
-            score = score_sum(
-                self.actor_network,
-                tensordict,
-                action,
-                advantage.reshape(-1),
-                trial.reshape(-1),
-                trials,
-            )
-        trial_loss = score * -self.weight
+            trial_loss = score_sum(self.actor_network, tensordict, action, factor, trial, trials)
         return TensorDict._new_unsafe(
             {"loss_actor": self._reduce(trial_loss), "trial_loss": trial_loss.detach()},
             batch_size=torch.Size([]),
         )
 
-    @torch.no_grad()
     def advantage(self, tensordict: TensorDictBase) -> Tensor:
         """G_t − b for every frame, in the shape of the data [*batch]."""
+        return self._advantage(tensordict, self._mask(tensordict))
+
+    def _advantage(self, tensordict: TensorDictBase, mask: Tensor | None) -> Tensor:
         after = _entry(tensordict, "next")
-        reward = _entry(after, self.tensor_keys.reward).squeeze(-1)
+        reward = _entry(after, self.tensor_keys.reward).detach().squeeze(-1)
         done = _entry(after, self.tensor_keys.done).squeeze(-1)
         # In flat data a trial may break off before done; the next trial is not its future.
         trial = tensordict.get(self.tensor_keys.trial, None) if reward.ndim == 1 else None
-        mask = self._mask(tensordict)
         if mask is not None:
             reward = torch.where(mask, reward, 0.0)
             done = done | ~mask
         returns = return_to_go(reward, done, self.gamma, trial)
-        return returns - self.baseline if self.baseline else returns
+        return returns.sub_(self.baseline) if self.baseline else returns
 
     def _with_parameters(self) -> contextlib.AbstractContextManager[object]:
         if self.functional:

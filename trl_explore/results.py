@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trl_explore.analysis.outcomes import STATUSES, Outcomes
 
@@ -42,6 +43,11 @@ TRIAL_COLUMNS = (
 EPISODE_COLUMNS = ("trial", "iteration", "score", "frames")
 TIMINGS = "timings.csv"
 TIMING_COLUMNS = ("experiment", "job", "trial", "seconds", "frames")
+RUN_KEYS = {
+    "config", "strategy", "experiment", "trials", "versions", "seed", "collector", "seconds",
+    "machine",
+}  # fmt: skip
+CONFIG_KEYS = {"strategy", "max_iterations", "score_threshold", "score_window"}
 PACKAGES = ("trl_explore", "torch", "torchrl", "tensordict", "gymnasium", "numpy", "numba")
 
 
@@ -197,8 +203,9 @@ def read_run(job: Path) -> dict[str, Any]:
     """
     try:
         run = json.loads((job / RUN).read_text(encoding="utf-8"))
-        missing = {"config", "strategy", "experiment", "trials"} - set(run)
-        if missing:
+        if missing := RUN_KEYS - set(run):
+            raise KeyError(*sorted(missing))
+        if missing := CONFIG_KEYS - set(run["config"]):
             raise KeyError(*sorted(missing))
     except FileNotFoundError:
         raise ResultsError(f"{job}: no finished job ({RUN} is missing)") from None
@@ -225,12 +232,37 @@ def read_trials(job: Path) -> pd.DataFrame:
 
 
 def read_episodes(job: Path) -> pd.DataFrame:
-    """``episodes.csv`` as a data frame.
+    """``episodes.csv`` as a data frame, held against ``trials.csv``.
 
     Raises:
         ResultsError: if the file is missing, truncated or foreign.
     """
-    return _read_csv(job / EPISODES, EPISODE_COLUMNS)
+    frame, trials = _read_csv(job / EPISODES, EPISODE_COLUMNS), read_trials(job)
+    for name in ("trial", "iteration", "frames"):
+        if frame[name].dtype.kind != "i":
+            raise ResultsError(f"{job / EPISODES}: column {name} is not of integers")
+    counted = frame.groupby("trial")["frames"].agg(["size", "sum"]).reset_index()
+    expected = trials.sort_values("trial")[["trial", "iterations", "frames"]]
+    if not np.array_equal(counted.to_numpy(), expected.to_numpy()):
+        raise ResultsError(f"{job / EPISODES}: its episodes are not those of {TRIALS}")
+    return frame
+
+
+def read_weights(job: Path) -> dict[str, NDArray[Any]]:
+    """The final policy: name -> array [trials, ...].
+
+    Raises:
+        ResultsError: if the file is missing or damaged.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load_file
+
+    try:
+        return load_file(job / WEIGHTS)
+    except FileNotFoundError:
+        raise ResultsError(f"{job / WEIGHTS}: missing") from None
+    except (SafetensorError, OSError) as error:
+        raise ResultsError(f"{job / WEIGHTS}: not readable as weights ({error})") from None
 
 
 def read_timings(sweep: Path) -> pd.DataFrame | None:
@@ -265,12 +297,15 @@ def read_curves(job: Path) -> pd.DataFrame:
     files = sorted((job / SCALARS).glob("*.csv"))
     if not files:
         raise ResultsError(f"{job / SCALARS}: no learning curves")
-    curves = {
-        file.stem: pd.read_csv(file, header=None, names=["iteration", "value"], index_col=0)[
-            "value"
-        ]
-        for file in files
-    }
+    curves = {}
+    for file in files:
+        try:
+            table = pd.read_csv(file, header=None, names=["iteration", "value"], index_col=0)
+            curves[file.stem] = table["value"].astype(float)
+        except (OSError, ValueError) as error:
+            raise ResultsError(f"{file}: not readable as a curve ({error})") from None
+    if len({len(curve) for curve in curves.values()}) > 1:
+        raise ResultsError(f"{job / SCALARS}: the curves are not of the same length")
     return pd.DataFrame(curves)
 
 

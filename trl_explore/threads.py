@@ -25,9 +25,10 @@ def pool(threads: int) -> ThreadPoolExecutor:
 
 def fits(first: Tensor, *others: Tensor) -> bool:
     """Whether compiled code serves these tensors: on the CPU, all float32 or all float64."""
-    return first.dtype in (torch.float32, torch.float64) and all(
-        t.device.type == "cpu" and t.dtype == first.dtype for t in (first, *others)
-    )
+    dtype = first.dtype
+    if not first.is_cpu or (dtype is not torch.float32 and dtype is not torch.float64):
+        return False
+    return all([other.is_cpu and other.dtype is dtype for other in others])  # noqa: C419 - faster
 
 
 def by_trial(

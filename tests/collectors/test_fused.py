@@ -92,7 +92,7 @@ def test_memory_is_reused_and_grows():
 
 def test_the_scratch_of_long_episodes_stays_small():
     kernel = kernel_of(gym.make("CartPole-v1"))
-    assert len(scratch(kernel, 500)[4]) == 16
+    assert len(scratch(kernel, 500)[4]) == 32
     assert len(scratch(kernel, 10**6)[4]) == 1
 
 

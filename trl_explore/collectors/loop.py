@@ -30,7 +30,7 @@ from trl_explore.kernels.base import kernel_function
 from trl_explore.kernels.borrow import borrow
 from trl_explore.kernels.philox import STATE_SIZE, begin, philox_block, to_unit
 
-GROUP = 16
+GROUP = 32
 """How many episodes are stepped side by side."""
 SCRATCH_BYTES = 1 << 22
 """The scratch of a group should stay in the processor's cache."""

@@ -90,8 +90,7 @@ class _LinearSoftmaxScore(torch.autograd.Function):
         trial: Tensor,
     ) -> Tensor:
         w = weight.detach().contiguous().numpy()
-        gradient = np.zeros(w.shape)
-        total = np.zeros(len(w))
+        gradient, total = np.zeros(w.shape), np.zeros(len(w))  # in double, whatever the weights
         frames = (
             observation.contiguous().numpy(),
             action.contiguous().numpy(),
@@ -104,43 +103,52 @@ class _LinearSoftmaxScore(torch.autograd.Function):
             raise IndexError(
                 f"an action is not in [0, {w.shape[1]}) or a trial not in [0, {len(w)})"
             )
-        ctx.save_for_backward(torch.from_numpy(gradient).to(weight.dtype))
+        ctx.gradient = torch.from_numpy(gradient).to(weight.dtype)
         return torch.from_numpy(total).to(weight.dtype)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[None, Tensor, None, None, None]:
-        (gradient,) = ctx.saved_tensors
-        return None, grad.reshape(-1, 1, 1) * gradient, None, None, None
+        return None, grad.reshape(-1, 1, 1) * ctx.gradient, None, None, None
 
 
-@nb.njit(cache=True, nogil=True)
-def _score(observation, action, advantage, trial, weight, total, gradient):
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _score(  # noqa: C901
+    observation, action, advantage, trial, weight, total, gradient
+):
     trials, n_actions, n_features = weight.shape
     probs = np.empty(n_actions, dtype=weight.dtype)
-    for i in range(len(action)):
-        lane, chosen, factor = trial[i], action[i], np.float64(advantage[i])
-        if not (0 <= chosen < n_actions and 0 <= lane < trials):
+    slope = np.empty((n_actions, n_features))
+    i = 0
+    while i < len(action):
+        lane = trial[i]
+        if not 0 <= lane < trials:
             return False
-        w, x, g = weight[lane], observation[i], gradient[lane]
-        for a in range(n_actions):
-            logit = w[a, 0] * x[0]
-            for k in range(1, n_features):
-                logit += w[a, k] * x[k]
-            probs[a] = logit
-        largest = probs[0]
-        for a in range(1, n_actions):
-            largest = max(largest, probs[a])
-        log_prob = probs[chosen] - largest
-        normaliser = probs[0] - probs[0]  # 0 of the right dtype, and NaN where a logit is
-        for a in range(n_actions):
-            probs[a] = np.exp(probs[a] - largest)
-            normaliser += probs[a]
-        total[lane] += factor * (log_prob - np.log(normaliser))
-        for a in range(n_actions):
-            slope = factor * (np.float64(a == chosen) - np.float64(probs[a] / normaliser))
-            for k in range(n_features):
-                g[a, k] += slope * x[k]
+        slope[:] = gradient[lane]  # so that sums do not depend on whose frames lie between
+        value = total[lane]
+        while i < len(action) and trial[i] == lane:
+            chosen, factor = action[i], np.float64(advantage[i])
+            if not 0 <= chosen < n_actions:
+                return False
+            for a in range(n_actions):
+                logit = weight[lane, a, 0] * observation[i, 0]
+                for k in range(1, n_features):
+                    logit += weight[lane, a, k] * observation[i, k]
+                probs[a] = logit
+            largest = probs.max()
+            log_prob = probs[chosen] - largest
+            normaliser = probs[0] - probs[0]  # 0 of the right dtype, and NaN where a logit is
+            for a in range(n_actions):
+                probs[a] = np.exp(probs[a] - largest)
+                normaliser += probs[a]
+            value += factor * (log_prob - np.log(normaliser))
+            for a in range(n_actions):
+                share = factor * (np.float64(a == chosen) - np.float64(probs[a] / normaliser))
+                for k in range(n_features):
+                    slope[a, k] += share * observation[i, k]
+            i += 1
+        total[lane] = value
+        gradient[lane] = slope
     return True
 
 
@@ -164,8 +172,8 @@ def _score_two(n_features: int) -> Callable[..., bool]:
                 return False
             for k in range(n_features):
                 difference[k] = weight[lane, 1, k] - weight[lane, 0, k]
-                slope[k] = 0
-            value = 0.0
+                slope[k] = gradient[lane, 1, k]
+            value = total[lane]
             while i < len(action) and trial[i] == lane:
                 valid &= 0 <= action[i] < 2
                 d = difference[0] * observation[i, 0]
@@ -182,10 +190,10 @@ def _score_two(n_features: int) -> Callable[..., bool]:
                 for k in range(n_features):
                     slope[k] += other * observation[i, k]
                 i += 1
-            total[lane] += value
+            total[lane] = value
             for k in range(n_features):
-                gradient[lane, 1, k] += slope[k]
-                gradient[lane, 0, k] -= slope[k]
+                gradient[lane, 1, k] = slope[k]
+                gradient[lane, 0, k] = -slope[k]
         own_difference[0] = own_slope[0]  # keeps them alive to here
         return valid
 
