@@ -113,7 +113,7 @@ class _LinearSoftmaxScore(torch.autograd.Function):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _score(  # noqa: C901
+def _score(
     observation, action, advantage, trial, weight, total, gradient
 ):
     trials, n_actions, n_features = weight.shape
