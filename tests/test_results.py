@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file
 
 from trl_explore import results
-from trl_explore.results import ResultsError
+from trl_explore.results import ResultsError, writing
 from trl_explore.trials import Trials
 
 CONFIG = {
@@ -220,7 +220,7 @@ def test_clear_leaves_other_files_alone(job):
 def test_a_job_is_complete_or_absent(tmp_path, monkeypatch, point):
     """Whatever file an interruption hits, the folder does not count as a finished job."""
     job, calls = tmp_path / "job", []
-    write_whole, write_scalars = results._write_whole, results._write_scalars
+    write_whole, write_scalars = writing._write_whole, writing._write_scalars
 
     def whole(path, fill):
         calls.append(path.name)
@@ -234,8 +234,8 @@ def test_a_job_is_complete_or_absent(tmp_path, monkeypatch, point):
             raise KeyboardInterrupt
         write_scalars(folder, trials)
 
-    monkeypatch.setattr(results, "_write_whole", whole)
-    monkeypatch.setattr(results, "_write_scalars", scalars)
+    monkeypatch.setattr(writing, "_write_whole", whole)
+    monkeypatch.setattr(writing, "_write_scalars", scalars)
     with pytest.raises(KeyboardInterrupt):
         write(job)
     assert (
@@ -262,7 +262,7 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path):
         if old:
             (tmp_path / "file").write_text(old)
         with pytest.raises(OSError, match="disk full"):
-            results._write_whole(tmp_path / "file", break_off)
+            writing._write_whole(tmp_path / "file", break_off)
         assert names(tmp_path) == ([] if old is None else ["file"])
     assert (tmp_path / "file").read_text() == "old"
 

@@ -1,26 +1,9 @@
-"""The files of a job: the only place that knows their names and columns, for writing and reading.
-
-    trials.csv              one row per trial
-    episodes.csv            one row per episode, by iteration and then trial (can be switched off)
-    scalars/*.csv           learning curves averaged over the trials (TorchRL's CSVLogger)
-    weights.safetensors     the final policy of every trial
-    run.json                configuration, versions, seed, wall time; written last
-
-Beside the jobs, in the folder of their sweep:
-
-    timings.csv             seconds of single trials, each run by itself (scripts/time_trials.py)
-
-A folder holds a finished job exactly if it holds ``run.json``. Every file appears at once and
-whole; what an interrupted job left behind is removed when the job starts again.
-"""
+"""Reading the files of jobs back, one job or all of a sweep, and checking them."""
 
 from __future__ import annotations
 
 import json
-import platform
-import shutil
-from collections.abc import Iterable, Mapping
-from importlib.metadata import version
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,166 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.analysis.outcomes import STATUSES, Outcomes
+from trl_explore.results.names import (
+    CONFIG_KEYS,
+    EPISODE_COLUMNS,
+    EPISODES,
+    RUN,
+    RUN_KEYS,
+    SCALARS,
+    TIMING_COLUMNS,
+    TIMINGS,
+    TRIAL_COLUMNS,
+    TRIALS,
+    WEIGHTS,
+    ResultsError,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
-    from torch import Tensor
-
-    from trl_explore.trials import Trials
-
-TRIALS, EPISODES, SCALARS = "trials.csv", "episodes.csv", "scalars"
-WEIGHTS, RUN = "weights.safetensors", "run.json"
-TRIAL_COLUMNS = (
-    "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
-)  # fmt: skip
-EPISODE_COLUMNS = ("trial", "iteration", "score", "frames")
-TIMINGS = "timings.csv"
-TIMING_COLUMNS = ("experiment", "job", "trial", "seconds", "frames")
-RUN_KEYS = {
-    "config", "strategy", "experiment", "trials", "versions", "seed", "collector", "seconds",
-    "machine",
-}  # fmt: skip
-CONFIG_KEYS = {"strategy", "max_iterations", "score_threshold", "score_window"}
-PACKAGES = ("trl_explore", "torch", "torchrl", "tensordict", "gymnasium", "numpy", "numba")
-
-
-class ResultsError(ValueError):
-    """A folder that does not hold what it should; the message is one line."""
-
-
-# Writing
-
-
-def clear(job: Path) -> None:
-    """Remove the results of a job, finished or not, from its folder; ``run.json`` first."""
-    for name in (RUN, TRIALS, EPISODES, WEIGHTS):
-        (job / name).unlink(missing_ok=True)
-    shutil.rmtree(job / SCALARS, ignore_errors=True)
-
-
-def write_job(
-    job: Path,
-    trials: Trials,
-    weights: Mapping[str, Tensor],
-    *,
-    config: Mapping[str, Any],
-    experiment: str,
-    strategy: str,
-    collector: str,
-    seconds: float,
-    episodes: bool = True,
-) -> None:
-    """Write every file of a finished job.
-
-    Args:
-        job: the folder, which exists and holds no results.
-        trials: the record of the trials, all of them stopped.
-        weights: name -> parameter [trials, ...].
-        config: the resolved configuration.
-        experiment: name of the sweep.
-        strategy: name of the strategy.
-        collector: name of the collector that was used.
-        seconds: wall time of the training.
-        episodes: whether to write ``episodes.csv``.
-    """
-    _write_text(job / TRIALS, _trials_csv(trials, config))
-    if episodes:
-        _write_text(job / EPISODES, _episodes_csv(trials, config["first_trial"]))
-    _write_scalars(job, trials)
-    _write_weights(job / WEIGHTS, weights)
-    run = {
-        "status": "finished",
-        "experiment": experiment,
-        "strategy": strategy,
-        "seed": config["seed"],
-        "trials": len(trials),
-        "collector": collector,
-        "seconds": seconds,
-        "config": config,
-        "versions": {"python": platform.python_version()} | {p: version(p) for p in PACKAGES},
-        "machine": {"system": platform.system(), "processor": platform.machine()},
-    }
-    _write_text(job / RUN, json.dumps(run, indent=2) + "\n")
-
-
-def _write_text(path: Path, text: str) -> None:
-    _write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def _write_whole(path: Path, write: Any) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, and move it there when it is whole."""
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        write(temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _number(value: float) -> str:
-    """The shortest text that reads back as the same float64."""
-    return repr(float(value))
-
-
-def _trials_csv(trials: Trials, config: Mapping[str, Any]) -> str:
-    lines = [",".join(TRIAL_COLUMNS)]
-    for k in range(len(trials)):
-        row = (
-            config["first_trial"] + k,
-            config["seed"],
-            trials.iterations[k],
-            trials.converged[k],
-            _number(trials.score[k]),
-            trials.frames[k],
-            f"{trials.seconds[k]:.6f}",
-            trials.status[k],
-        )
-        lines.append(",".join(map(str, row)))
-    return "\n".join(lines) + "\n"
-
-
-def _episodes_csv(trials: Trials, first_trial: int) -> str:
-    columns = trials.episodes()
-    columns["trial"] = columns["trial"] + first_trial
-    rows = zip(*(columns[name].tolist() for name in EPISODE_COLUMNS), strict=True)
-    lines = [f"{trial},{iteration},{score},{frames}" for trial, iteration, score, frames in rows]
-    return "\n".join([",".join(EPISODE_COLUMNS), *lines]) + "\n"
-
-
-def _write_scalars(job: Path, trials: Trials) -> None:
-    from torchrl.record import CSVLogger
-
-    parent = job / ".scalars.tmp"
-    shutil.rmtree(parent, ignore_errors=True)  # the logger appends to what it finds
-    logger = CSVLogger(exp_name="curves", log_dir=str(parent))
-    for name, curve in trials.curves().items():
-        for step, value in enumerate(curve.tolist(), start=1):
-            logger.log_scalar(name, value, step=step)
-    (parent / "curves" / "scalars").replace(job / SCALARS)
-    shutil.rmtree(parent)
-
-
-def _write_weights(path: Path, weights: Mapping[str, Tensor]) -> None:
-    from safetensors.torch import save_file
-
-    tensors = {name: tensor.detach().contiguous() for name, tensor in weights.items()}
-    _write_whole(path, lambda temporary: save_file(tensors, temporary))
-
-
-def write_timings(sweep: Path, timings: pd.DataFrame) -> None:
-    """Write the seconds of trials that were run by themselves.
-
-    Args:
-        sweep: the folder that holds the folders of the jobs.
-        timings: the columns ``TIMING_COLUMNS``, one row per trial.
-    """
-    table = timings[list(TIMING_COLUMNS)].to_csv(
-        index=False, lineterminator="\n", float_format="%.6f"
-    )
-    _write_text(sweep / TIMINGS, table)
-
-
-# Reading
 
 
 def is_finished(job: Path) -> bool:

@@ -1,0 +1,63 @@
+"""The files of a job: the only place that knows their names and columns, for writing and reading.
+
+    trials.csv              one row per trial
+    episodes.csv            one row per episode, by iteration and then trial (can be switched off)
+    scalars/*.csv           learning curves averaged over the trials (TorchRL's CSVLogger)
+    weights.safetensors     the final policy of every trial
+    run.json                configuration, versions, seed, wall time; written last
+
+Beside the jobs, in the folder of their sweep:
+
+    timings.csv             seconds of single trials, each run by itself (scripts/time_trials.py)
+
+A folder holds a finished job exactly if it holds ``run.json``. Every file appears at once and
+whole; what an interrupted job left behind is removed when the job starts again.
+"""
+
+from trl_explore.results.names import (
+    EPISODE_COLUMNS,
+    EPISODES,
+    TIMING_COLUMNS,
+    TIMINGS,
+    TRIAL_COLUMNS,
+    TRIALS,
+    ResultsError,
+)
+from trl_explore.results.reading import (
+    find_jobs,
+    is_finished,
+    read_curves,
+    read_episodes,
+    read_frame,
+    read_job,
+    read_jobs,
+    read_run,
+    read_timings,
+    read_trials,
+    read_weights,
+)
+from trl_explore.results.writing import clear, write_job, write_timings
+
+__all__ = [
+    "EPISODES",
+    "EPISODE_COLUMNS",
+    "TIMINGS",
+    "TIMING_COLUMNS",
+    "TRIALS",
+    "TRIAL_COLUMNS",
+    "ResultsError",
+    "clear",
+    "find_jobs",
+    "is_finished",
+    "read_curves",
+    "read_episodes",
+    "read_frame",
+    "read_job",
+    "read_jobs",
+    "read_run",
+    "read_timings",
+    "read_trials",
+    "read_weights",
+    "write_job",
+    "write_timings",
+]
