@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
@@ -150,11 +150,8 @@ class ReinforceLoss(LossModule):
         if mask is not None:
             tensordict, factor, trial = tensordict[mask], factor[mask], trial[mask]
         if factor.ndim > 1:
-            tensordict, factor, trial = (
-                tensordict.reshape(-1),
-                factor.reshape(-1),
-                trial.reshape(-1),
-            )
+            tensordict = cast(TensorDictBase, tensordict.reshape(-1))
+            factor, trial = factor.reshape(-1), trial.reshape(-1)
         action = _entry(tensordict, self.tensor_keys.action)
         with self._with_parameters():
             trial_loss = score_sum(self.actor_network, tensordict, action, factor, trial, trials)

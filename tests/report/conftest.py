@@ -39,8 +39,8 @@ def write_job(
         score = 196.0 + k / 100 if passed else 20.0 + k
         frames = 20 * n + k + 1
         lines.append(f"{k},{seed},{n},{passed},{score},{frames},0.5,{status}")
-        rows += [f"{k},{i},{score * min(1.0, i / n)},20" for i in range(1, n + 1, max(1, n // 8))]
-        rows.append(f"{k},{n},{score},20") if (n - 1) % max(1, n // 8) else None
+        rows += [f"{k},{i},{score * i / n},20" for i in range(1, n)]
+        rows.append(f"{k},{n},{score},{20 + k + 1}")
     header = "trial,seed,iterations,converged,score,frames,seconds,status"
     (job / "trials.csv").write_text("\n".join([header, *lines]) + "\n")
     if episodes:

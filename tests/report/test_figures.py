@@ -105,8 +105,8 @@ def test_the_cloud_of_many_points_is_wide_where_they_are():
     values = np.concatenate([np.full(300, 150.0), np.full(150, 500.0), np.linspace(800, 900, 20)])
     width = trials.crowding(values)
     assert width[0] == 1.0
-    assert width[300] == 0.5
-    assert width[-1] < 0.05
+    assert width[300] == pytest.approx(0.5**0.5)
+    assert width[-1] < 0.2
     assert (trials.crowding(values[:50]) == 1.0).all()
 
 
