@@ -25,7 +25,8 @@ thesis: $(READY)
 	$(BIN)/python scripts/train.py experiment=thesis output_dir=$(OUT)
 	$(BIN)/python scripts/train.py experiment=epsilon_grid output_dir=$(OUT)
 	$(BIN)/python scripts/train.py experiment=decay_grid output_dir=$(OUT)
-	$(BIN)/python scripts/time_trials.py $(OUT)/thesis $(OUT)/decay_grid
+	$(BIN)/python scripts/time_trials.py $(OUT)/thesis --trials 30
+	$(BIN)/python scripts/time_trials.py $(OUT)/decay_grid
 	$(BIN)/python scripts/report.py $(OUT)/thesis $(OUT)/epsilon_grid $(OUT)/decay_grid --out $(OUT)/report
 
 lint: $(READY)

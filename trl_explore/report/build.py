@@ -1,0 +1,91 @@
+"""From folders of results to a folder with the report."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from trl_explore.analysis.bootstrap import RESAMPLES
+from trl_explore.report.catalogue import draw_all
+from trl_explore.report.claims_table import claims_table
+from trl_explore.report.evidence import gather
+from trl_explore.report.loading import Gap, load
+from trl_explore.report.page import TITLE, Content, page
+from trl_explore.report.results_tables import (
+    comparison_table,
+    gaps_table,
+    jobs_table,
+    summary_table,
+)
+from trl_explore.report.tables import Table
+
+PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
+
+
+def build_report(
+    folders: Sequence[Path], out: Path, *, resamples: int = RESAMPLES
+) -> tuple[Path, list[Gap]]:
+    """Write the report on every finished job at or below the folders.
+
+    Args:
+        folders: job or sweep folders, any number.
+        out: where the report goes; ``figures/`` and ``tables/`` of an earlier one are replaced.
+        resamples: of every bootstrap and permutation test.
+
+    Returns:
+        The page, and what is missing from it.
+
+    Raises:
+        ResultsError: there is nothing to report; the message is one line.
+
+    """
+    evidence = gather(load(folders), resamples=resamples)
+    figures = {part.group.id: list(draw_all(part)) for part in evidence.groups}
+    tables: dict[str, list[Table]] = {
+        part.group.id: [summary_table(part), comparison_table(part)] for part in evidence.groups
+    }
+    content = Content(
+        evidence=evidence,
+        figures=figures,
+        tables=tables,
+        claims=claims_table(evidence.checked),
+        jobs=jobs_table(evidence),
+        gaps=gaps_table(evidence),
+    )
+    html = page(content)
+    _clear(out)
+    for group in figures.values():
+        for figure in group:
+            _write(out / FIGURES / f"{figure.id}.svg", figure.svg)
+            (out / FIGURES / f"{figure.id}.png").write_bytes(figure.png)
+    for table in [
+        content.claims, content.jobs, content.gaps, *(t for part in tables.values() for t in part)
+    ]:  # fmt: skip
+        _write_table(out / TABLES, table)
+    _write(out / PAGE, html)
+    return out / PAGE, evidence.gaps
+
+
+def _clear(out: Path) -> None:
+    """Make room for a report; remove the figures and tables of an earlier one, and only those."""
+    if (out / PAGE).is_file() and TITLE in (out / PAGE).read_text(
+        encoding="utf-8", errors="replace"
+    ):
+        for name in (FIGURES, TABLES):
+            shutil.rmtree(out / name, ignore_errors=True)
+    for name in (FIGURES, TABLES):
+        (out / name).mkdir(parents=True, exist_ok=True)
+
+
+def _write_table(folder: Path, table: Table) -> None:
+    if not table.records:
+        return
+    _write(folder / f"{table.id}.csv", table.to_csv())
+    if table.main:
+        _write(folder / f"{table.id}.tex", table.to_latex())
+        _write(folder / f"{table.id}.md", table.to_markdown())
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8", newline="\n")

@@ -1,0 +1,87 @@
+"""What several figures do to their axes."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator, MaxNLocator, NullFormatter
+from numpy.typing import ArrayLike
+
+from trl_explore.report.style import INK, Style
+
+LOG_FROM = 30.0
+"""Values that span more than this factor are drawn on a logarithmic axis."""
+
+
+def spans_much(values: Sequence[ArrayLike]) -> bool:
+    """Whether positive values ask for a logarithmic axis."""
+    flat = np.concatenate([np.asarray(v, dtype=np.float64).ravel() for v in values])
+    flat = flat[np.isfinite(flat)]
+    return len(flat) > 0 and flat.min() > 0 and flat.max() / flat.min() > LOG_FROM
+
+
+def number(value: float) -> str:
+    """A number for a tick: 12,000 and 0.05, never 1e4."""
+    if value and abs(value) < 1:
+        return f"{value:.6f}".rstrip("0").rstrip(".")
+    return f"{value:,.0f}" if float(value).is_integer() else f"{value:,g}"
+
+
+def plain_numbers(axis: Any) -> None:
+    """Write the ticks of an axis, linear or logarithmic, as plain numbers."""
+    if axis.get_scale() == "log":
+        low, high = sorted(axis.get_view_interval())
+        decades = np.log10(high / low) if low > 0 else 9
+        subs = (1.0, 2.0, 5.0) if decades < 1.3 else (1.0, 3.0) if decades < 2.6 else (1.0,)
+        axis.set_major_locator(LogLocator(subs=subs))
+        axis.set_minor_formatter(NullFormatter())
+        if decades > 6:
+            axis.set_major_formatter(LogFormatter())
+            return
+    else:
+        axis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 2.5, 5, 10]))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
+
+
+def wrapped(label: str, width: int = 21, lines: int = 3) -> str:
+    r"""A label in lines of at most so many characters; what does not fit in them is cut off.
+
+    >>> wrapped("softmax, baseline = 20, lr = 0.05")
+    'softmax,\nbaseline = 20,\nlr = 0.05'
+    """
+    # A number stays with its name.
+    kept = label.replace(" = ", "\u00a0=\u00a0")
+    parts = textwrap.wrap(kept, width, break_long_words=True, break_on_hyphens=False)
+    if len(parts) > lines:
+        parts = [*parts[: lines - 1], parts[lines - 1][: width - 1] + "…"]
+    return "\n".join(part.replace("\u00a0", " ") for part in parts)
+
+
+def handle(style: Style, label: str, *, line: bool = True) -> Line2D:
+    """A legend entry in the style of a configuration."""
+    return Line2D(
+        [], [], color=style.color, marker=style.marker, ls=style.line if line else "", label=label
+    )
+
+
+def legend_above(
+    ax: Axes, handles: Sequence[Line2D], columns: int, title: str | None = None
+) -> None:
+    """A legend on top of the figure, where it cannot hide anything."""
+    figure = ax.figure
+    figure.legend(
+        handles=list(handles),
+        loc="outside upper left",
+        borderaxespad=0.0,
+        ncol=columns,
+        title=title,
+        alignment="left",
+        handlelength=3.2,
+        columnspacing=1.4,
+        labelcolor=INK,
+    )

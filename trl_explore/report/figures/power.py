@@ -1,0 +1,78 @@
+"""The power of the comparison: which difference a number of trials finds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from trl_explore.analysis.power import POWER, detectable_difference, trials_for_difference
+from trl_explore.report.figures.axes import legend_above, plain_numbers
+from trl_explore.report.style import INK, MUTED
+
+COLOR = "#0072b2"
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A comparison: the sd of a pair's difference, the observed |difference|, whether found."""
+
+    label: str
+    sd: float
+    difference: float
+    told_apart: bool
+
+
+def plot_power(
+    ax: Axes, pairs: Sequence[Pair], *, trials: int, level: float, unit: str = "iterations"
+) -> None:
+    """Draw the smallest difference found with 80 % power by the number of trials.
+
+    The line is the pair of median spread, the band reaches from the pair of smallest to that of
+    largest spread. Each pair is a point at the difference that was observed and the number of
+    trials that would find it with that power: left of the vertical line there were enough.
+
+    Args:
+        ax: empty axes.
+        pairs: comparisons with a spread.
+        trials: that were made per configuration.
+        level: of one test.
+        unit: of the differences.
+
+    """
+    known = [p for p in pairs if np.isfinite(p.sd) and p.sd > 0]
+    needed = [trials_for_difference(p.sd, p.difference, level=level) for p in known]
+    shown = [(n, p) for n, p in zip(needed, known, strict=True) if n is not None and n <= 1e6]
+    right = max([10 * trials, 1000, *(2 * n for n, _ in shown)])
+    n = np.geomspace(1.6, right, 60)
+    low, middle, high = np.quantile([p.sd for p in known], [0.0, 0.5, 1.0])
+    curves = [detectable_difference(sd, n, level=level) for sd in (low, middle, high)]
+    ax.fill_between(n, curves[0], curves[2], color=COLOR, alpha=0.15, lw=0)
+    ax.plot(n, curves[1], color=COLOR)
+    for count, pair in shown:
+        ax.plot(
+            [count], [abs(pair.difference)], ls="", marker="o" if pair.told_apart else "D",
+            ms=5, color=INK if pair.told_apart else "#d55e00", zorder=4,
+        )  # fmt: skip
+    ax.axvline(trials, color=INK, lw=1.0, ls=(0, (4, 3)))
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_xlim(1.6, right)
+    ax.set_xlabel("trials per configuration (logarithmic)")
+    ax.set_ylabel(f"difference in {unit} (logarithmic)")
+    ax.grid()
+    plain_numbers(ax.xaxis)
+    plain_numbers(ax.yaxis)
+    handles = [
+        Line2D([], [], color=COLOR, label=f"found with {100 * POWER:g} % power"),
+        Line2D([], [], color=INK, lw=1.0, ls=(0, (4, 3)), label=f"this study: {trials:,} trials"),
+        Line2D([], [], ls="", marker="o", color=INK, label="a pair that was told apart"),
+        Line2D([], [], ls="", marker="D", color="#d55e00", label="a pair that was not"),
+    ]
+    present = {p.told_apart for _, p in shown}
+    legend_above(ax, handles[:2] + [h for h, k in zip(handles[2:], (True, False), strict=True)
+                                    if k in present], columns=2)  # fmt: skip
+    ax.tick_params(which="minor", color=MUTED)

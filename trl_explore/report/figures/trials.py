@@ -1,0 +1,176 @@
+"""Every trial as a point, one row per configuration: the whole distribution of one quantity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from trl_explore.report.figures.axes import legend_above, plain_numbers, spans_much, wrapped
+from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style
+
+RASTER_FROM = 400
+"""Points per row from which they are drawn as an image, to keep an SVG small."""
+SPREAD = 0.28
+SHAPED_FROM = 100
+"""Points per row from which their cloud takes the shape of the distribution."""
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """The trials of one configuration: ``values`` and ``status`` [n]."""
+
+    label: str
+    values: NDArray[np.float64]
+    status: NDArray[np.str_]
+    style: Style
+
+
+def plot_trials(
+    ax: Axes,
+    rows: Sequence[Row],
+    *,
+    quantity: str,
+    of: str | None = None,
+    line: tuple[float, str] | None = None,
+    may_be_log: bool = True,
+) -> None:
+    """Draw one row of points per configuration, from top to bottom.
+
+    A trial that converged is a filled point, one that was stopped at the cap a hollow one, one
+    that diverged a cross; values that are not finite are left out. Beside the points stand the
+    median and the middle half of all trials, at the right how many passed.
+
+    Args:
+        ax: empty axes.
+        rows: configurations.
+        quantity: name and unit of the horizontal axis.
+        of: name of the vertical axis, where rows are values of one parameter.
+        line: value and label of a vertical line: the threshold, or the cap.
+        may_be_log: draw values that span much on a logarithmic axis.
+
+    """
+    present = set()
+    for y, row in enumerate(rows):
+        present |= _points(ax, row, y)
+        _summary(ax, row, y)
+        passed = int((row.status == "converged").sum())
+        ax.text(
+            1.015, y, f"{passed}/{len(row.values)}", transform=ax.get_yaxis_transform(),
+            va="center", ha="left", fontsize=8, color=INK,
+        )  # fmt: skip
+    if len(rows):
+        ax.text(
+            1.015, -0.62, "passed", transform=ax.get_yaxis_transform(),
+            va="center", ha="left", fontsize=8, color=MUTED,
+        )  # fmt: skip
+    log = may_be_log and spans_much([row.values for row in rows])
+    ax.set_xscale("log" if log else "linear")
+    handles = _legend(present)
+    if line is not None:
+        ax.axvline(line[0], color=INK, lw=1.0, ls=(0, (4, 3)), zorder=1)
+        handles.append(Line2D([], [], color=INK, lw=1.0, ls=(0, (4, 3)), label=line[1]))
+    ax.set_ylim(len(rows) - 0.4, -0.9)
+    ax.set_yticks(range(len(rows)), [wrapped(row.label) for row in rows])
+    ax.tick_params(axis="y", length=0)
+    ax.spines["left"].set_visible(False)
+    ax.grid(axis="x")
+    ax.hlines(
+        np.arange(len(rows) - 1) + 0.55, 0, 1, transform=ax.get_yaxis_transform(),
+        color=GRID, lw=0.6, zorder=0,
+    )  # fmt: skip
+    ax.set_xlabel(quantity + (" (logarithmic)" if log else ""))
+    ax.set_ylabel(of or "")
+    plain_numbers(ax.xaxis)
+    legend_above(ax, handles, columns=2)
+
+
+def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vertical offsets in [-1, 1] [n], the same whenever asked: neighbours are moved apart.
+
+    The k-th smallest value gets the k-th number of van der Corput's sequence.
+
+    >>> spread(np.array([5.0, 7.0, 6.0])).tolist()
+    [0.0, 0.5, -0.5]
+    """
+    order = np.argsort(values, kind="stable")
+    k = np.arange(1, len(values) + 1)
+    sequence, scale = np.zeros(len(values)), 0.5
+    while k.any():
+        sequence += scale * (k & 1)
+        k, scale = k >> 1, scale / 2
+    offsets = np.empty(len(values))
+    offsets[order] = 2.0 * sequence - 1.0
+    return offsets
+
+
+def crowding(values: NDArray[np.float64], bins: int = 50) -> NDArray[np.float64]:
+    """How wide the cloud of points is at each value [n], in (0, 1]: all of it for few points.
+
+    Of many, the root of the share of the fullest of ``bins`` equal classes, so that the cloud
+    shows where they are, and single ones still stand apart.
+    """
+    if len(values) <= SHAPED_FROM or values.min() == values.max():
+        return np.ones(len(values))
+    edges = np.linspace(values.min(), values.max(), bins + 1)[1:-1]
+    place = np.searchsorted(edges, values, side="right")
+    counts = np.bincount(place, minlength=bins)
+    return np.sqrt(counts[place] / counts.max())
+
+
+def _points(ax: Axes, row: Row, y: int) -> set[str]:
+    """Draw the points of a row; which statuses it has."""
+    finite = np.isfinite(row.values)
+    values = np.where(finite, row.values, 0.0)
+    heights = y + SPREAD * spread(values) * crowding(values)
+    many = len(row.values) > RASTER_FROM
+    size = 22.0 if len(row.values) <= 60 else 12.0 if not many else 5.0
+    shown = set()
+    for status in ("capped", "converged", "diverged"):
+        mask = finite & (row.status == status)
+        if not mask.any():
+            continue
+        shown.add(status)
+        ax.scatter(
+            row.values[mask],
+            heights[mask],
+            s=size,
+            marker="x" if status == "diverged" else row.style.marker,
+            facecolor={"converged": row.style.color, "capped": PAPER}.get(status, INK),
+            edgecolor=None if status == "diverged" else row.style.color,
+            linewidth=0.9 if not many else 0.4,
+            alpha=0.85 if not many else 0.3,
+            zorder=3,
+            rasterized=many,
+            label=status,
+        )
+    return shown
+
+
+def _summary(ax: Axes, row: Row, y: int) -> None:
+    values = row.values[np.isfinite(row.values)]
+    if len(values) < 2:
+        return
+    low, middle, high = np.quantile(values, [0.25, 0.5, 0.75], method="inverted_cdf")
+    ax.plot([low, high], [y + 0.41] * 2, color=INK, lw=1.6, solid_capstyle="butt", zorder=4)
+    ax.plot([middle], [y + 0.41], color=INK, marker="|", ms=8, mew=1.8, zorder=4)
+
+
+def _legend(present: set[str]) -> list[Line2D]:
+    entries = {
+        "converged": ("converged: passed the task", "o", MUTED),
+        "capped": ("stopped at the cap, not passed", "o", PAPER),
+        "diverged": ("diverged", "x", INK),
+    }
+    handles = [
+        Line2D([], [], ls="", marker=marker, mfc=face, mec=MUTED, ms=5, label=label)
+        for status, (label, marker, face) in entries.items()
+        if status in present
+    ]
+    bar = Line2D([], [], color=INK, lw=1.6, marker="|", ms=8, mew=1.8)
+    bar.set_label("median and middle half")
+    return [*handles, bar]

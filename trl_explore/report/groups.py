@@ -1,0 +1,136 @@
+"""Which configurations stand side by side: those of one experiment, stopped by one rule."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from trl_explore.analysis.outcomes import Outcomes
+from trl_explore.analysis.pairing import configuration_key, deduplicate, pool
+from trl_explore.report.labels import (
+    EXPERIMENTS,
+    configuration_labels,
+    natural_order,
+    strategy_label,
+    swept_parameter,
+)
+from trl_explore.report.loading import Job, Timing
+from trl_explore.report.style import Style, styles
+
+GRIDS = ("epsilon_grid", "decay_grid")
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Configurations that may be compared with each other.
+
+    Attributes:
+        id: unique, usable in file names.
+        title: heading in the report.
+        experiment: the sweep.
+        cap: iterations.
+        threshold: score above which a trial has passed.
+        window: episodes that the final score averages over.
+        environment: its id.
+        configurations: in the order of the figures; each (seed, trial) once, seeds pooled.
+        labels: name of a configuration -> what readers call it.
+        styles: name of a configuration -> how it looks.
+        jobs: name of a configuration -> the jobs that its trials come from.
+        parameter: the one parameter in which the configurations differ, if there is one.
+
+    """
+
+    id: str
+    title: str
+    experiment: str
+    cap: int
+    threshold: float
+    window: int
+    environment: str
+    configurations: list[Outcomes]
+    labels: dict[str, str]
+    styles: dict[str, Style]
+    jobs: dict[str, list[Job]]
+    parameter: str | None
+
+    @property
+    def is_grid(self) -> bool:
+        """Whether it is one of the thesis's two grids."""
+        return self.experiment in GRIDS
+
+    def short(self, name: str) -> str:
+        """The label of a configuration beside an axis that already names the parameter."""
+        return self.labels[name].removeprefix(f"{self.parameter} = ")
+
+    def timing(self, name: str) -> Timing | None:
+        """The trials of a configuration that were timed by themselves; None: not any."""
+        return next((job.timing for job in self.jobs[name] if job.timing is not None), None)
+
+
+def group_jobs(jobs: Sequence[Job]) -> list[Group]:
+    """Split jobs into groups: the thesis's experiment first, its grids last."""
+    by_rule: dict[tuple[str, int, float, int, str], list[Job]] = {}
+    for job in jobs:
+        o = job.outcomes
+        rule = (o.experiment, o.cap, o.threshold, o.window, _environment(o))
+        by_rule.setdefault(rule, []).append(job)
+    order = sorted(by_rule, key=lambda rule: (_rank(rule[0]), *map(str, rule)))
+    repeated = {rule[0] for rule in order if sum(r[0] == rule[0] for r in order) > 1}
+    return [
+        _group(f"{rule[0]}-{k}" if rule[0] in repeated else rule[0], by_rule[rule])
+        for k, rule in enumerate(order, start=1)
+    ]
+
+
+def _rank(experiment: str) -> int:
+    return {"thesis": 0, "epsilon_grid": 2, "decay_grid": 3}.get(experiment, 1)
+
+
+def _environment(o: Outcomes) -> str:
+    env = o.config.get("env")
+    return str(env.get("id", "unknown")) if isinstance(env, dict) else "unknown"
+
+
+def _group(name: str, jobs: list[Job]) -> Group:
+    members: dict[str, list[Outcomes]] = {}
+    for outcomes in deduplicate([job.outcomes for job in jobs]):
+        members.setdefault(configuration_key(outcomes), []).append(outcomes)
+    pooled = [pool(same) for same in members.values()]
+    used: dict[str, int] = {}
+    for k, c in enumerate(pooled):
+        used[c.name] = used.get(c.name, 0) + 1
+        if used[c.name] > 1:
+            pooled[k] = replace(c, name=f"{c.name} ({used[c.name]})")
+    by_name = {
+        c.name: [j for j in jobs if configuration_key(j.outcomes) == key]
+        for c, key in zip(pooled, members, strict=True)
+    }
+    ordered = natural_order(pooled)
+    first = ordered[0]
+    looks = styles([c.strategy for c in ordered])
+    return Group(
+        id="".join(ch if ch.isalnum() or ch in "-_" else "-" for ch in name)[:60] or "experiment",
+        title=_title(first.experiment, ordered),
+        experiment=first.experiment,
+        cap=first.cap,
+        threshold=first.threshold,
+        window=first.window,
+        environment=_environment(first),
+        configurations=ordered,
+        labels=configuration_labels(ordered),
+        styles={c.name: look for c, look in zip(ordered, looks, strict=True)},
+        jobs=by_name,
+        parameter=swept_parameter(ordered),
+    )
+
+
+def _title(experiment: str, configurations: Sequence[Outcomes]) -> str:
+    strategies = list(dict.fromkeys(c.strategy for c in configurations))
+    if experiment == "thesis" and len(strategies) != 5:
+        return "The thesis's experiment, in part"
+    if experiment in EXPERIMENTS:
+        return EXPERIMENTS[experiment]
+    named = ", ".join(map(strategy_label, strategies[:4])) + (", …" if len(strategies) > 4 else "")
+    parameter = swept_parameter(configurations)
+    what = f"{named}: values of {parameter}" if parameter else named
+    return what if experiment == "train" else f"{experiment}: {what}"

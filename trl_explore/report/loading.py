@@ -1,0 +1,163 @@
+"""From folders to finished jobs, and to a list of what is missing among them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from trl_explore import results
+from trl_explore.analysis.outcomes import Outcomes
+from trl_explore.analysis.pairing import trial_keys
+from trl_explore.analysis.survival import convergence_times
+from trl_explore.results import ResultsError
+
+UNFINISHED = "not finished: still running, or interrupted"
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """Seconds of single trials [n] and their trial indices [n]."""
+
+    trial: NDArray[np.int64]
+    seconds: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A finished job and where it came from; ``timing`` where its trials were timed singly."""
+
+    folder: Path
+    outcomes: Outcomes
+    command: tuple[str, ...] = ()
+    timing: Timing | None = None
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Something that should be in the report and is not: its name, and why."""
+
+    what: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """What a set of folders holds."""
+
+    jobs: list[Job]
+    gaps: list[Gap]
+
+
+def load(folders: Sequence[Path]) -> Loaded:
+    """Read every finished job at or below the folders; what cannot be read becomes a gap.
+
+    Raises:
+        ResultsError: there is no job that can be read; the message is one line.
+
+    """
+    for folder in folders:
+        if not folder.is_dir():
+            raise ResultsError(f"{folder}: no such folder")
+    gaps = _unfinished(folders)
+    errors: list[Exception] = []
+    jobs = []
+    timings: dict[Path, pd.DataFrame | None] = {}
+    found = dict.fromkeys(job.resolve() for f in folders for job in results.find_jobs(f))
+    for folder in found:
+        try:
+            outcomes = _checked(results.read_job(folder), folder)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            errors.append(_of_job(error, folder))
+            gaps.append(gap(folder, errors[-1]))
+            continue
+        if folder.parent not in timings:
+            timings[folder.parent] = _timings(folder.parent, gaps)
+        timing = _timing_of(timings[folder.parent], outcomes)
+        jobs.append(Job(folder, outcomes, _command(folder), timing))
+    if not jobs:
+        names = ", ".join(str(folder) for folder in folders)
+        reason = gaps[0].why if gaps else "no finished job (run.json) at or below it"
+        text = str(errors[0]) if errors else f"{names}: {reason}"
+        more = f" (and {len(gaps) - 1} more)" if len(gaps) > 1 else ""
+        raise ResultsError(f"{text}{more}")
+    return Loaded(jobs, gaps)
+
+
+def gap(folder: Path, error: Exception) -> Gap:
+    """What an error says of a job, without the place of the sweep on this machine."""
+    return Gap(_short(folder), str(error).replace(f"{folder.parent.parent}/", ""))
+
+
+def _of_job(error: Exception, folder: Path) -> ResultsError:
+    if isinstance(error, ResultsError):
+        return error
+    text = f"{folder}: not readable as a job ({type(error).__name__}: {error})"
+    return ResultsError(" ".join(text.split()))
+
+
+def _short(folder: Path) -> str:
+    return f"{folder.parent.name}/{folder.name}"
+
+
+def _unfinished(folders: Sequence[Path]) -> list[Gap]:
+    begun = {
+        path.parent.resolve()
+        for folder in folders
+        for pattern in (".hydra", results.TRIALS)
+        for path in folder.rglob(pattern)
+    }
+    return [Gap(_short(job), UNFINISHED) for job in sorted(begun) if not results.is_finished(job)]
+
+
+def _checked(outcomes: Outcomes, folder: Path) -> Outcomes:
+    """Refuse what the analysis could not use, or would get wrong."""
+    where = folder / results.TRIALS
+    if not len(outcomes):
+        raise ResultsError(f"{where}: no trials")
+    try:
+        convergence_times(outcomes)
+        trial_keys(outcomes)
+    except ValueError as error:
+        raise ResultsError(f"{where}: {error}") from None
+    if not ((outcomes.status == "converged") == outcomes.converged).all():
+        raise ResultsError(f"{where}: status and converged contradict each other")
+    if (outcomes.iterations < 1).any() or (outcomes.frames < 1).any():
+        raise ResultsError(f"{where}: a trial without iterations or frames")
+    return outcomes
+
+
+def _command(folder: Path) -> tuple[str, ...]:
+    """What was typed after ``train.py``, as Hydra recorded it; empty where it did not."""
+    try:
+        lines = (folder / ".hydra" / "overrides.yaml").read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return ()
+    items = [line[2:].strip() for line in lines if line.startswith("- ")]
+    return tuple(
+        i[1:-1].replace("''", "'") if len(i) > 1 and i[0] == i[-1] == "'" else i for i in items
+    )
+
+
+def _timings(sweep: Path, gaps: list[Gap]) -> pd.DataFrame | None:
+    try:
+        return results.read_timings(sweep)
+    except ResultsError as error:
+        gaps.append(gap(sweep / results.TIMINGS, error))
+        return None
+
+
+def _timing_of(timings: pd.DataFrame | None, outcomes: Outcomes) -> Timing | None:
+    if timings is None:
+        return None
+    mine = (timings["experiment"] == outcomes.experiment) & (timings["job"] == outcomes.name)
+    rows = np.flatnonzero(mine & timings["trial"].isin(outcomes.trial.tolist()))
+    if not len(rows):
+        return None
+    trial, seconds = np.asarray(timings["trial"])[rows], np.asarray(timings["seconds"])[rows]
+    order = np.argsort(trial)
+    return Timing(trial[order].astype(np.int64), seconds[order].astype(np.float64))

@@ -1,0 +1,197 @@
+"""The tables of numbers: configurations, pairs of them, and the jobs they come from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from trl_explore.analysis.power import trials_for_difference
+from trl_explore.report import drawing
+from trl_explore.report.evidence import Evidence, GroupEvidence
+from trl_explore.report.figures.axes import number
+from trl_explore.report.tables import Column, Record, Table
+
+
+def summary_table(evidence: GroupEvidence) -> Table:
+    """One row per configuration."""
+    group = evidence.group
+    timed = drawing.seconds(group)
+    records = []
+    for c, summary in zip(group.configurations, evidence.summaries, strict=True):
+        shown, seconds = timed(c)
+        records.append(
+            {"configuration": group.labels[c.name], **summary.row()}
+            | {"seconds_mean": float(seconds.mean()) if len(shown) else None, "timed": len(shown)}
+        )
+    columns = [
+        Column("configuration", "configuration", lambda r: r["configuration"]),
+        Column("pass_rate", "passed", _passed, True),
+        Column("median", "median iterations", _interval("median", _count, "not reached"), True),
+        Column("restricted_mean", "mean iterations", _restricted, True),
+        Column(
+            "expected_running_time",
+            "iterations per success",
+            _interval("expected_running_time", _count, "∞"),
+            True,
+        ),
+        Column("score_mean", "mean score", _interval("score_mean", _one), True),
+        Column("score_iqm", "interquartile mean", _interval("score_iqm", _one), True),
+        Column("frames_mean", "mean frames", _interval("frames_mean", _count), True),
+    ]
+    if any(r["timed"] for r in records):
+        columns.append(Column("seconds_mean", "seconds", _seconds, True))
+    return Table(f"{group.id}-configurations", f"{group.title}: configurations", columns, records,
+                 main=True)  # fmt: skip
+
+
+def comparison_table(evidence: GroupEvidence) -> Table:
+    """One row per pair, with the number of trials that would find its difference."""
+    labels, level = evidence.group.labels, drawing.strict_level(evidence)
+    short = {label: evidence.group.short(name) for name, label in labels.items()}
+    by = f" {evidence.group.parameter}" if evidence.group.parameter else ""
+    records = []
+    for c in evidence.comparisons:
+        needed = trials_for_difference(c.sd, c.difference.value, level=level)
+        record = {"experiment": evidence.group.experiment} | c.row()
+        named = {"a": labels[c.a], "b": labels[c.b], "winner": labels.get(c.winner or "")}
+        records.append(record | named | {"trials_needed": needed})
+    columns = [
+        Column("a", f"first{by}", lambda r: short[r["a"]]),
+        Column("b", f"second{by}", lambda r: short[r["b"]]),
+        Column("winner", "faster", lambda r: short.get(r["winner"], "may be chance")),
+        Column("difference", "first − second, iterations", _interval("difference", _count), True),
+        Column("p_holm", "p (Holm)", lambda r: _p(r["p_holm"]), True),
+        Column("p_logrank", "p (log-rank)", lambda r: _p(r["p_logrank"]), True),
+        Column("faster", "first is faster in", _interval("faster", _percent), True),
+        Column("correlation", "correlation of pairs", lambda r: _plain(r["correlation"], 2), True),
+        Column("variance_ratio", "variance kept by pairing",
+               lambda r: _plain(r["variance_ratio"], 2), True),
+        Column("n_a", "pairs or trials", lambda r: f"{min(r['n_a'], r['n_b']):,}", True),
+        Column("trials_needed", "trials for 80 % power", _needed, True),
+    ]  # fmt: skip
+    title = f"{evidence.group.title}: all pairs"
+    return Table(f"{evidence.group.id}-pairs", title, columns, records, main=True)
+
+
+def jobs_table(evidence: Evidence) -> Table:
+    """One row per job, with what it needs to be made again."""
+    records = []
+    for part in evidence.groups:
+        for c in part.group.configurations:
+            for job in part.group.jobs[c.name]:
+                o, source = job.outcomes, job.outcomes.provenance
+                first, last = int(o.trial.min()), int(o.trial.max())
+                records.append(
+                    {
+                        "experiment": o.experiment,
+                        "job": o.name,
+                        "configuration": part.group.labels[c.name],
+                        "seed": source.get("seed"),
+                        "trials": len(o),
+                        "first_trial": first,
+                        "last_trial": last,
+                        "cap": o.cap,
+                        "threshold": o.threshold,
+                        "window": o.window,
+                        "environment": part.group.environment,
+                        "collector": source.get("collector"),
+                        "batch_seconds": _number(source.get("seconds")),
+                        "command": " ".join(("python scripts/train.py", *_shown(job.command))),
+                    }
+                )
+    unique = list({(r["experiment"], r["job"], str(r)): r for r in records}.values())
+    columns = [
+        Column("experiment", "experiment", lambda r: str(r["experiment"])),
+        Column("configuration", "configuration", lambda r: r["configuration"]),
+        Column("seed", "seed", lambda r: str(r["seed"]), True),
+        Column("trials", "trials", lambda r: f"{r['trials']:,}", True),
+        Column("first_trial", "indices", lambda r: f"{r['first_trial']}–{r['last_trial']}", True),
+        Column("cap", "cap", lambda r: f"{r['cap']:,}", True),
+        Column("environment", "environment", lambda r: str(r["environment"])),
+        Column("collector", "collector", lambda r: str(r["collector"])),
+        Column("command", "command", lambda r: r["command"], wide=True),
+    ]
+    return Table("jobs", "Jobs", columns, unique)
+
+
+def gaps_table(evidence: Evidence) -> Table:
+    """What should have been read and could not be."""
+    records = [{"what": gap.what, "why": gap.why} for gap in evidence.gaps]
+    columns = [
+        Column("what", "missing", lambda r: r["what"]),
+        Column("why", "reason", lambda r: r["why"], wide=True),
+    ]
+    return Table("missing", "Missing from this report", columns, records)
+
+
+def _shown(command: Sequence[str]) -> list[str]:
+    """What was typed, without where the files went; quoted where a shell would ask for it."""
+    skipped = ("output_dir=", "threads=", "restart=")
+    return [_quoted(word) for word in command if not word.startswith(skipped)]
+
+
+def _quoted(word: str) -> str:
+    safe = all(ch.isalnum() or ch in "=,.+-_/:@" for ch in word)
+    return word if safe else "'" + word.replace("'", "'\\''") + "'"
+
+
+def _interval(key: str, text: Any, infinite: str = "∞") -> Any:
+    def write(r: Record) -> str:
+        value, low, high = r[key], r[f"{key}_low"], r[f"{key}_high"]
+        main = infinite if value == math.inf else text(value)
+        if value is None or math.isnan(value):
+            return "–"
+        if math.isnan(low) or math.isnan(high) or low == math.inf:
+            return main
+        if high == math.inf:
+            return f"{main}\n{text(low)} or more"
+        return f"{main}\n{text(low)} to {text(high)}"
+
+    return write
+
+
+def _passed(r: Record) -> str:
+    low, high = 100 * r["pass_rate_low"], 100 * r["pass_rate_high"]
+    diverged = f", {r['diverged']} diverged" if r["diverged"] else ""
+    return f"{r['converged']} of {r['n']}{diverged}\n{low:.0f} to {high:.0f} %"
+
+
+def _restricted(r: Record) -> str:
+    error = r["restricted_mean_se"]
+    tail = "" if error is None or math.isnan(error) else f"\n± {error:,.0f}"
+    return f"{r['restricted_mean']:,.0f}{tail}"
+
+
+def _seconds(r: Record) -> str:
+    return f"{r['seconds_mean']:.3g}\n{r['timed']} timed" if r["timed"] else "–"
+
+
+def _needed(r: Record) -> str:
+    return "–" if r["trials_needed"] is None else f"{r['trials_needed']:,}"
+
+
+def _count(x: float) -> str:
+    return f"{x:,.0f}".replace("-", "−")
+
+
+def _one(x: float) -> str:
+    return f"{x:.1f}"
+
+
+def _percent(x: float) -> str:
+    return f"{100 * x:.0f} %"
+
+
+def _plain(x: float, digits: int) -> str:
+    return "–" if np.isnan(x) else f"{x:.{digits}f}".replace("-", "−")
+
+
+def _p(p: float) -> str:
+    return "< 0.001" if p < 0.001 else number(round(p, 3))
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) else None

@@ -1,0 +1,156 @@
+"""The one visual language of all figures: colour, marker and line of a strategy, sizes, fonts.
+
+A strategy has the same colour, marker and line everywhere. Marker and line alone tell twelve
+configurations apart, so that figures survive greyscale print and every kind of colour blindness;
+the colours are those of Okabe & Ito and of Tol, in lightnesses that stand out from white paper.
+Several values of one parameter are a ramp from dark to light in the order of the values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.colors import to_hex, to_rgb
+
+INK, MUTED, GRID, PAPER = "#1c1e21", "#5f6670", "#dfe2e6", "#ffffff"
+WIDTH = 4.8
+"""Of a figure, in inches; on a phone a point of text is then about a pixel."""
+
+LineStyle = str | tuple[int, tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class Style:
+    """How one configuration looks."""
+
+    color: str
+    marker: str
+    line: LineStyle
+
+
+_DASH: LineStyle = (0, (5.0, 2.0))
+_DOT: LineStyle = (0, (1.2, 1.6))
+_DASH_DOT: LineStyle = (0, (5.0, 1.6, 1.2, 1.6))
+_LONG: LineStyle = (0, (9.0, 2.5))
+_DASH_DOT_DOT: LineStyle = (0, (6.0, 1.5, 1.2, 1.5, 1.2, 1.5))
+
+KNOWN: Mapping[str, Style] = {
+    "random": Style("#6b7280", "s", _DOT),
+    "argmax": Style("#d55e00", "^", _DASH_DOT),
+    "epsilon_greedy": Style("#0072b2", "o", _DASH),
+    "decaying_epsilon_greedy": Style("#009e73", "D", _LONG),
+    "softmax": Style("#a8328c", "v", "-"),
+}
+FURTHER: Sequence[Style] = (
+    Style("#c28100", "P", _DASH_DOT_DOT),
+    Style("#4a9fd8", "X", "-"),
+    Style("#7a1f3d", "<", _DASH),
+    Style("#8a8a1f", ">", _DOT),
+    Style("#3b2f8f", "h", _DASH_DOT),
+    Style("#2f9a9a", "p", _LONG),
+    Style("#6b3410", "d", _DASH_DOT_DOT),
+)
+MARKERS = "o^sDvPX<>hpd"
+LINES: Sequence[LineStyle] = ("-", _DASH, _DASH_DOT, _LONG, _DASH_DOT_DOT)
+
+
+def styles(strategies: Sequence[str]) -> list[Style]:
+    """One style for each configuration of a figure, given its strategy [n].
+
+    The only configuration of a strategy has the style of that strategy. Several of the same one
+    have a ramp of colours; where there are other strategies beside them, from dark to light in
+    the strategy's own hue. No two of twelve share both marker and line.
+    """
+    unknown = [name for name in dict.fromkeys(strategies) if name not in KNOWN]
+    base = dict(KNOWN) | {n: FURTHER[i % len(FURTHER)] for i, n in enumerate(sorted(unknown))}
+    only = len(set(strategies)) == 1
+    used: dict[str, int] = {}
+    taken: set[tuple[str, LineStyle]] = set()
+    result = []
+    for name in strategies:
+        count, k = strategies.count(name), used.get(name, 0)
+        used[name] = k + 1
+        style = base[name]
+        if count > 1:
+            color = ramp(k, count) if only else shade(style.color, k, count)
+            lines = LINES if only else (style.line,)
+            marker = MARKERS[k % len(MARKERS)] if only else style.marker
+            style = Style(color, marker, lines[k % len(lines)])
+        style = _free(style, taken)
+        taken.add((style.marker, style.line))
+        result.append(style)
+    return result
+
+
+def _free(style: Style, taken: set[tuple[str, LineStyle]]) -> Style:
+    """The style with the next marker, or line, that no other one of the figure has."""
+    start = MARKERS.index(style.marker)
+    for line in (style.line, *LINES):
+        for step in range(len(MARKERS)):
+            marker = MARKERS[(start + step) % len(MARKERS)]
+            if (marker, line) not in taken:
+                return Style(style.color, marker, line)
+    return style
+
+
+def ramp(k: int, count: int) -> str:
+    """Colour k of an ordered ramp, dark violet to light olive, that also prints in grey."""
+    position = 0.08 + 0.70 * k / max(1, count - 1)
+    return to_hex(mpl.colormaps["viridis"](position))
+
+
+def shade(color: str, k: int, count: int) -> str:
+    """Shade k of a colour, from darker to lighter."""
+    amount = -0.45 + 0.85 * k / max(1, count - 1)
+    target = 0.0 if amount < 0 else 1.0
+    mixed = [c + (target - c) * abs(amount) for c in to_rgb(color)]
+    return to_hex(mixed)  # type: ignore[arg-type]
+
+
+_SETTINGS: Mapping[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.labelsize": 9,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.facecolor": PAPER,
+    "axes.unicode_minus": True,
+    "figure.facecolor": PAPER,
+    "savefig.facecolor": PAPER,
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "text.color": INK,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 9,
+    "ytick.labelsize": 9,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "lines.linewidth": 1.7,
+    "lines.markersize": 4.5,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "trl_explore",
+    "text.parse_math": False,
+    "figure.dpi": 100,
+}
+
+
+@contextmanager
+def visual_language() -> Iterator[None]:
+    """Everything drawn inside has the fonts, lines and colours of the report."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        for name, value in _SETTINGS.items():
+            mpl.rcParams[name] = value  # type: ignore[index]
+        yield
