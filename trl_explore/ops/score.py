@@ -113,9 +113,7 @@ class _LinearSoftmaxScore(torch.autograd.Function):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _score(
-    observation, action, advantage, trial, weight, total, gradient
-):
+def _score(observation, action, advantage, trial, weight, total, gradient):
     trials, n_actions, n_features = weight.shape
     probs = np.empty(n_actions, dtype=weight.dtype)
     slope = np.empty((n_actions, n_features))
