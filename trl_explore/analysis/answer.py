@@ -117,7 +117,8 @@ def _thesis(checked: Sequence[Checked]) -> str:
     still = "open at this number of trials"
     parts.append(_count(len(by[OPEN]), f"is {still}", f"are {still}") + settle)
     missing = len(checked) - len(measured)
-    parts.append(_count(missing, "was not measured", "were not measured"))
+    if missing:
+        parts.append(_count(missing, "was not measured", "were not measured"))
     return f"Of the thesis's {len(checked)} statements {_list(parts)}."
 
 
