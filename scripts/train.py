@@ -28,7 +28,7 @@ def run(config: DictConfig) -> None:
     try:
         train(config, folder)
         finished.append(folder)
-    except (ConfigError, ResultsError, OmegaConfBaseException, OSError) as error:
+    except (ConfigError, ResultsError, OmegaConfBaseException, OSError, MemoryError) as error:
         if not any(folder.iterdir()):
             folder.rmdir()
         line = configuration.describe(error)
@@ -92,6 +92,8 @@ def main() -> int:
     configuration.register_resolvers()
     try:
         run()
+        if finished:
+            show(finished)
     except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
         if show_traceback:
             raise
@@ -100,8 +102,6 @@ def main() -> int:
     except KeyboardInterrupt:
         print("interrupted; finished jobs are kept, the same command goes on", file=sys.stderr)
         return 130
-    if finished:
-        show(finished)
     if failed and finished:
         print(f"{len(failed)} of {len(failed) + len(finished)} jobs failed", file=sys.stderr)
     return 1 if failed else 0

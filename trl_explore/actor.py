@@ -73,7 +73,8 @@ class SoftmaxActor(ProbabilisticActor):
 
     Args:
         policy: a module that writes "logits".
-        masked: whether the data have an "action_mask" [*batch, n_actions] that π obeys too.
+        masked: whether "action_mask" [*batch, n_actions] is an input of the actor. In the loss π
+            obeys a mask wherever the data have one.
     """
 
     def __init__(self, policy: TensorDictModule, *, masked: bool = False) -> None:
@@ -134,10 +135,12 @@ def _(
     trial: Tensor,
     trials: int,
 ) -> Tensor:
-    policy = actor[0]
-    if isinstance(policy, LinearPolicy) and not actor.masked and len(policy.weight) == trials:
+    policy, mask = actor[0], tensordict.get("action_mask", None)
+    if actor.masked and mask is None:
+        raise KeyError("the data have no entry 'action_mask'")
+    if isinstance(policy, LinearPolicy) and mask is None and len(policy.weight) == trials:
         observation = tensordict.get("observation")
         return linear_softmax_score(observation, policy.weight, action, advantage, trial)
-    return score_sum.dispatch(ProbabilisticTensorDictSequential)(
-        actor, tensordict, action, advantage, trial, trials
-    )
+    logits = policy(tensordict.copy()).get("logits")
+    log_prob = SoftmaxCategorical(logits, mask).log_prob(action)
+    return lane_sum(log_prob * advantage, trial, trials)

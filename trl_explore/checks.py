@@ -46,15 +46,24 @@ def check_number(
     return number
 
 
-def check_integer(name: str, value: Any, low: int) -> int:
-    """Return ``value`` as an int if it is an integer >= ``low``.
+MAX_THREADS = 64
+LARGEST = 2**63 - 1
+"""The largest integer that a column of the results holds."""
+
+
+def check_integer(name: str, value: Any, low: int, high: int = LARGEST) -> int:
+    """Return ``value`` as an int if it is an integer from ``low`` to ``high``.
 
     Raises:
-        ValueError: otherwise; the message names the argument, the value and the bound.
+        ValueError: otherwise; the message names the argument, the value and the bounds.
     """
-    if not isinstance(value, Integral) or isinstance(value, bool) or value < low:
-        raise ValueError(f"{name} must be an integer >= {low}, got {value!r}")
-    return int(value)
+    number = None
+    if isinstance(value, Integral) and not isinstance(value, bool):
+        number = int(value)
+    if number is None or not low <= number <= high:
+        allowed = f"<= {high}" if number is not None and number > high else f">= {low}"
+        raise ValueError(f"{name} must be an integer {allowed}, got {value!r}")
+    return number
 
 
 def interval(low: float, high: float, low_open: bool, high_open: bool) -> str:

@@ -19,7 +19,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from trl_explore.checks import check_integer
+from trl_explore.checks import LARGEST, MAX_THREADS, check_integer
 
 if TYPE_CHECKING:
     from trl_explore.trainer import Trainer
@@ -30,6 +30,13 @@ INERT = ("output_dir", "restart", "threads", "episodes", "collector.threads")
 """Keys that change no result: they are not part of a job's name or identity."""
 
 
+INTEGERS = {
+    "seed": (0, LARGEST),
+    "trials": (1, 10**7),
+    "first_trial": (0, LARGEST - 10**7),
+    "threads": (1, MAX_THREADS),
+}
+"""Keys of the top level that hold an integer, and its bounds."""
 ABSENT = object()
 """Stands for the default of a key that ``conf/`` does not have."""
 
@@ -52,6 +59,8 @@ def _choices(root: DictConfig) -> Mapping[str, str | None]:
 
 
 def _sweep_name(*, _root_: DictConfig) -> str:
+    if not str(_root_.output_dir or "").strip():
+        raise ConfigError("output_dir must name a folder, got nothing")
     return _choices(_root_).get("experiment") or "train"
 
 
@@ -66,11 +75,11 @@ def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
     different configurations never share a folder: ``epsilon_greedy,epsilon=0.1,seed=3``.
     """
     defaults = _defaults(choices)
-    parts = [str(choices["strategy"])]
+    parts = [str(choices.get("strategy"))]
     parts += [
-        f"{group}={choices[group]}"
+        f"{group}={choices.get(group)}"
         for group in GROUPS
-        if group != "strategy" and choices[group] != _default_choices()[group]
+        if group != "strategy" and choices.get(group) != _default_choices()[group]
     ]
     leaves = _leaves(defaults, config)
     for key in sorted(leaves, key=lambda key: (not key.startswith("strategy."), key)):
@@ -105,7 +114,7 @@ def _defaults(choices: Mapping[str, str | None]) -> DictConfig:
     defaults = OmegaConf.load(CONF / "train.yaml")
     assert isinstance(defaults, DictConfig)
     for group in GROUPS:
-        path = CONF / group / f"{choices[group]}.yaml"
+        path = CONF / group / f"{choices.get(group)}.yaml"
         defaults[group] = OmegaConf.load(path) if path.is_file() else {}
     experiment = CONF / "experiment" / f"{choices.get('experiment')}.yaml"
     if experiment.is_file():
@@ -160,18 +169,28 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
             raise ConfigError(f"unknown key {name!r}; known: {', '.join(sorted(known))}")
     for name in sorted(known - {str(key) for key in config}):
         raise ConfigError(f"the key {name!r} has been removed, but is needed")
+    for name in ("episodes", "restart"):
+        if not isinstance(config[name], bool):
+            raise ConfigError(f"{name} must be true or false, got {config[name]!r}")
     for group in GROUPS:
-        path = CONF / group / f"{choices[group]}.yaml"
-        if not path.is_file():
-            continue  # a file of the user's own; the constructor checks
-        allowed = set(OmegaConf.load(path))  # type: ignore[arg-type]
-        for name in config[group]:
-            if name not in allowed:
-                shown = sorted(key for key in allowed if not str(key).startswith("_"))
-                raise ConfigError(
-                    f"unknown key '{group}.{name}'; {group}={choices[group]} has: "
-                    f"{', '.join(map(str, shown)) or 'no keys'}"
-                )
+        _check_group(config, group, choices.get(group))
+
+
+def _check_group(config: DictConfig, group: str, option: str | None) -> None:
+    path = CONF / group / f"{option}.yaml"
+    if not isinstance(config[group], DictConfig):
+        raise ConfigError(f"{group} must name a file of conf/{group}/, got {config[group]}")
+    if not path.is_file():
+        return  # a file of the user's own; the constructor checks
+    allowed = {str(key) for key in OmegaConf.load(path)}
+    given = {str(key) for key in config[group]}
+    for name in sorted(given - allowed):
+        shown = sorted(key for key in allowed if not key.startswith("_"))
+        raise ConfigError(
+            f"unknown key '{group}.{name}'; {group}={option} has: {', '.join(shown) or 'no keys'}"
+        )
+    for name in sorted(allowed - given):
+        raise ConfigError(f"the key '{group}.{name}' has been removed, but is needed")
 
 
 def resolved(config: DictConfig) -> dict[str, Any]:
@@ -213,7 +232,7 @@ def describe(error: BaseException) -> str:
         return f"there is no {group.replace('/', '=')}; available: {', '.join(options)}"
     if unknown and unknown[1]:
         return f"unknown key '{unknown[1]}'; --help lists the keys of this configuration"
-    if isinstance(error, OSError):
+    if isinstance(error, OSError) and error.filename:
         return f"cannot write {error.filename}: {error.strerror}"
     return " ".join(lines) or type(error).__name__
 
@@ -238,8 +257,8 @@ def build_trainer(config: DictConfig) -> Trainer:
     from trl_explore.trainer import Trainer
     from trl_explore.trials import Trials
 
-    for key, low in (("seed", 0), ("trials", 1), ("first_trial", 0), ("threads", 1)):
-        _build(None, lambda key=key, low=low: check_integer(key, config[key], low))
+    for key, (low, high) in INTEGERS.items():
+        _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))
     trials = _build(
         None,
         lambda: Trials(
@@ -279,13 +298,15 @@ def _build(group: str | None, call: Callable[[], Any]) -> Any:
     except ConfigError:
         raise
     except InstantiationException as error:
-        raise ConfigError(_of(group, error.__cause__ or error)) from error
-    except (ValueError, TypeError) as error:
-        raise ConfigError(_of(group, error)) from error
+        raise ConfigError(_of(group, describe(error.__cause__ or error))) from error
+    except MemoryError as error:
+        raise ConfigError(_of(group, "not enough memory for so many trials")) from error
+    except (ValueError, TypeError, OverflowError) as error:
+        raise ConfigError(_of(group, describe(error))) from error
 
 
-def _of(group: str | None, error: BaseException) -> str:
-    return f"{group}: {describe(error)}" if group else describe(error)
+def _of(group: str | None, message: str) -> str:
+    return f"{group}: {message}" if group else message
 
 
 def current_choices() -> dict[str, str | None]:

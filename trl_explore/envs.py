@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torchrl.envs import Compose, EnvBase, RewardSum, StepCounter, TransformedEnv
 from torchrl.envs.libs.gym import GymWrapper
 
-from trl_explore.checks import check_integer
+from trl_explore.checks import LARGEST, check_integer
 from trl_explore.streams import Stream, generator
 
 
@@ -27,7 +27,7 @@ def make_gym(id: str, max_steps: int | None, kwargs: Mapping[str, Any]) -> gym.E
             argument is refused, or the spaces are not of the supported kinds.
     """
     if max_steps is not None:
-        check_integer("max_steps", max_steps, 1)
+        check_integer("max_steps", max_steps, 1, 10**9)
     env = _construct(id, max_steps, kwargs)
     if not isinstance(env.action_space, spaces.Discrete):
         raise ValueError(
@@ -102,6 +102,8 @@ class LaneVectorEnv(VectorEnv):
         kwargs: Mapping[str, Any] | None = None,
     ) -> None:
         check_integer("num_envs", num_envs, 1)
+        check_integer("first_trial", first_trial, 0, LARGEST - num_envs)
+        check_integer("seed", seed, 0)
         kwargs = dict(kwargs or {})
         # A collector that compiles the environment never steps the lanes: build them when needed.
         env = make_gym(id, max_steps, kwargs)

@@ -168,8 +168,12 @@ class ReinforceLoss(LossModule):
         after = _entry(tensordict, "next")
         reward = _entry(after, self.tensor_keys.reward).detach().squeeze(-1)
         done = _entry(after, self.tensor_keys.done).squeeze(-1)
-        # In flat data a trial may break off before done; the next trial is not its future.
-        trial = tensordict.get(self.tensor_keys.trial, None) if reward.ndim == 1 else None
+        # A trial may break off before done; the next trial is not its future.
+        trial = tensordict.get(self.tensor_keys.trial, None)
+        if trial is not None and reward.ndim > 1:
+            done = done.clone()
+            done[..., :-1] |= trial[..., 1:] != trial[..., :-1]
+            trial = None
         if mask is not None:
             reward = torch.where(mask, reward, 0.0)
             done = done | ~mask

@@ -55,8 +55,9 @@ class LaneAdam:
         >>> adam = LaneAdam([weight], lr=0.1)
         >>> weight.grad = torch.ones(2, 1)
         >>> adam.step(torch.tensor([True, False]))
-        >>> weight.detach().round(decimals=4).tolist()
-        [[-0.1], [0.0]]
+        >>> weight.detach()
+        tensor([[-0.1000],
+                [ 0.0000]])
     """
 
     beta1, beta2, eps = 0.9, 0.999, 1e-8

@@ -13,14 +13,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from trl_explore.checks import MAX_THREADS
+
 MIN_FRAMES = 50_000
 """Below this number of frames, handing work to a thread costs more than it saves."""
 
 
 @lru_cache(maxsize=1)
-def pool(threads: int) -> ThreadPoolExecutor:
-    """The threads that compiled code without the interpreter's lock runs on."""
-    return ThreadPoolExecutor(threads, thread_name_prefix="trl_explore")
+def pool() -> ThreadPoolExecutor:
+    """The threads that compiled code without the interpreter's lock runs on; begun when needed."""
+    return ThreadPoolExecutor(MAX_THREADS, thread_name_prefix="trl_explore")
 
 
 def fits(first: Tensor, *others: Tensor) -> bool:
@@ -53,7 +55,7 @@ def by_trial(
     cuts = [len(trial) * j // threads for j in range(1, threads)]
     edges = [0, *(int(np.searchsorted(trial, trial[cut])) for cut in cuts), len(trial)]
     calls = [
-        pool(threads).submit(kernel, *(array[low:high] for array in frames), *shared)
+        pool().submit(kernel, *(array[low:high] for array in frames), *shared)
         for low, high in pairwise(edges)
     ]
     results = [call.result() for call in calls]  # wait for all, whatever the first one says
@@ -64,8 +66,8 @@ def check_frames(frames: torch.Size, **columns: Tensor) -> None:
     """Compiled code reads beside an array that is too short: refuse it before.
 
     Raises:
-        ValueError: naming the column that does not begin with the shape ``frames``.
+        ValueError: naming the column that has not the shape ``frames``.
     """
     for name, column in columns.items():
-        if column.shape[: len(frames)] != frames:
+        if column.shape != frames:
             raise ValueError(f"{name} is {list(column.shape)}, but the frames are {list(frames)}")

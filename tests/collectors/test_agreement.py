@@ -10,6 +10,7 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from tensordict.nn import TensorDictSequential
+from torchrl.envs.utils import ExplorationType
 
 from trl_explore.collectors import FusedCollector, TorchRLCollector
 from trl_explore.envs import make_env
@@ -115,3 +116,17 @@ def test_ties_share():
     assert_same(data, pairs[1][0].collect())
     assert 0.4 < data["action"].float().mean() < 0.6
     assert torch.allclose(data["action_log_prob"], torch.tensor(0.5).log())
+
+
+@pytest.mark.parametrize("env", ENVS)
+@pytest.mark.parametrize("zero", [True, False])
+def test_the_same_without_exploration(env, zero):
+    """Deterministic modes take the first of equals, in both collectors."""
+    pairs = [build(c, ENVS[env], Softmax(), 20) for c in (FusedCollector, TorchRLCollector)]
+    for collector, policy in pairs:
+        collector.exploration_type = ExplorationType.DETERMINISTIC
+        if zero:
+            policy.weight.data.zero_()
+    data = pairs[0][0].collect()
+    assert_same(data, pairs[1][0].collect())
+    assert not data["action_log_prob"].any()

@@ -6,6 +6,7 @@ import pytest
 import torch
 from gymnasium import spaces
 from tensordict.nn import TensorDictModule, TensorDictSequential
+from torchrl.data import OneHot
 from torchrl.envs import RewardScaling
 
 from trl_explore.collectors import FusedCollector, NotCompilableError, auto_collector
@@ -159,3 +160,38 @@ def test_an_environment_of_ones_own():
         assert data["next", "terminated"].any()
     finally:
         gym.registry.pop("Corridor-v0")
+
+
+def test_what_does_not_fit_is_refused():
+    """Nothing is read beside the arrays: sizes are compared before."""
+    few = LinearPolicy(make_env(trials=3))
+    with pytest.raises(NotCompilableError, match=r"the weights are \[3, 2, 4\]"):
+        FusedCollector(make_env(trials=50), TensorDictSequential(few, Softmax()))
+    lake = make_env("FrozenLake-v1", trials=3)
+    with pytest.raises(NotCompilableError, match=r"the weights are \[3, 2, 4\]"):
+        FusedCollector(lake, TensorDictSequential(few, Softmax()))
+    env = make_env(trials=3)
+    with pytest.raises(NotCompilableError, match=r"torch\.float64"):
+        FusedCollector(env, TensorDictSequential(LinearPolicy(env).double(), Softmax()))
+
+
+def test_a_strategy_that_does_more_than_its_mixture_is_refused():
+    class Other(Softmax):
+        def probs(self, logits, trial=None):
+            return torch.softmax(-logits, -1)
+
+    with pytest.raises(NotCompilableError, match="Other changes probs or forward"):
+        build(make_env(trials=2), Other())
+    with pytest.raises(NotCompilableError, match="one-hot action or renamed entries"):
+        build(make_env(trials=2), Softmax(spec=OneHot(2)))
+    with pytest.raises(NotCompilableError, match="one-hot action or renamed entries"):
+        build(make_env(trials=2), Softmax(action_key="act"))
+
+
+def test_batches_of_an_iteration_have_memory_of_their_own():
+    collector = build(make_env(trials=3), total_frames=200)
+    batches = list(collector)
+    assert len(batches) > 1
+    again = build(make_env(trials=3))
+    for batch in batches:
+        assert torch.equal(batch["observation"], again.collect()["observation"])

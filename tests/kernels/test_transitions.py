@@ -6,11 +6,9 @@ import gymnasium as gym
 import numba as nb
 import numpy as np
 import pytest
-from gymnasium.spaces import flatten
 
-from trl_explore.kernels import kernel_of
-from trl_explore.kernels.philox import STATE_SIZE, begin
-from trl_explore.streams import Stream, generator, key
+from trl_explore.kernels import CompiledEnv, Kernel, check_kernel, kernel_function, kernel_of
+from trl_explore.kernels.cartpole import observe, reset
 
 CARTPOLES = [
     {},
@@ -24,57 +22,10 @@ LAKES = [
 LAKES.append({"desc": ["SFS", "HFG", "FFF"], "success_rate": 0.7, "reward_schedule": (5, -2, -0.1)})
 
 
-class Compiled:
-    """A kernel driven by hand, as the collector drives it."""
-
-    def __init__(self, env: gym.Env) -> None:
-        self.kernel = kernel_of(env)
-        self.state = np.zeros(self.kernel.state_size)
-        self.rng = np.zeros(STATE_SIZE, dtype=np.uint64)
-
-    def begin(self, seed: int, episode: int) -> np.ndarray:
-        begin(self.rng, key(seed, Stream.ENVIRONMENT), episode, 0)
-        self.kernel.reset(self.kernel.parameters, self.state, self.rng)
-        return self.observe()
-
-    def step(self, action: int) -> tuple[np.ndarray, float, bool]:
-        reward, terminated = self.kernel.step(self.kernel.parameters, self.state, action, self.rng)
-        return self.observe(), reward, bool(terminated)
-
-    def observe(self) -> np.ndarray:
-        observation = np.full(self.kernel.n_features, np.nan, dtype=np.float32)
-        self.kernel.observe(self.kernel.parameters, self.state, observation)
-        return observation
-
-
-def whole_episodes(env: gym.Env, episodes: int, max_steps: int) -> tuple[int, int]:
-    """Step kernel and environment side by side with random actions; count transitions and ends."""
-    compiled, space = Compiled(env), env.observation_space
-    actions = np.random.default_rng(1)
-    transitions = ends = 0
-    assert compiled.kernel.n_actions == env.action_space.n
-    for episode in range(episodes):
-        env.unwrapped.np_random = generator(9, Stream.ENVIRONMENT, 0, episode)
-        observation, _ = env.reset()
-        np.testing.assert_array_equal(compiled.begin(9, episode), flatten(space, observation))
-        for _ in range(max_steps):
-            action = int(actions.integers(env.action_space.n))
-            observation, reward, terminated, _, _ = env.step(action)
-            ours, our_reward, our_terminated = compiled.step(action)
-            np.testing.assert_array_equal(ours, flatten(space, observation))
-            assert our_reward == reward
-            assert our_terminated == terminated
-            transitions += 1
-            if terminated:
-                ends += 1
-                break
-    return transitions, ends
-
-
 @pytest.mark.parametrize("kwargs", CARTPOLES)
 def test_cartpole_episodes(kwargs):
     env = gym.make("CartPole-v1", disable_env_checker=True, **kwargs).unwrapped
-    transitions, ends = whole_episodes(env, episodes=300, max_steps=500)
+    transitions, ends = check_kernel(env, episodes=300, max_steps=500)
     assert transitions > 5000
     assert ends == 300
 
@@ -82,7 +33,7 @@ def test_cartpole_episodes(kwargs):
 def test_cartpole_in_random_states():
     env = gym.make("CartPole-v1", disable_env_checker=True).unwrapped
     env.reset(seed=0)
-    compiled = Compiled(env)
+    compiled = CompiledEnv(kernel_of(env), seed=3)
     draws = np.random.default_rng(2)
     terminations = 0
     for _ in range(5000):
@@ -104,14 +55,14 @@ def test_cartpole_reads_the_instance():
     env = gym.make("CartPole-v1", disable_env_checker=True).unwrapped
     env.gravity, env.force_mag, env.kinematics_integrator = 3.7, 4.0, "semi-implicit euler"
     env.theta_threshold_radians = 15 * np.pi / 180
-    transitions, _ = whole_episodes(env, episodes=100, max_steps=200)
+    transitions, _ = check_kernel(env, episodes=100, max_steps=200)
     assert transitions > 2000
 
 
 @pytest.mark.parametrize("kwargs", LAKES)
 def test_frozen_lake_episodes(kwargs):
     env = gym.make("FrozenLake-v1", disable_env_checker=True, **kwargs).unwrapped
-    transitions, ends = whole_episodes(env, episodes=400, max_steps=100)
+    transitions, ends = check_kernel(env, episodes=400, max_steps=100)
     assert transitions > 1000
     assert ends > 100
 
@@ -120,9 +71,8 @@ def test_initial_states_of_cartpole_are_uniform():
     from scipy.stats import kstest
 
     env = gym.make("CartPole-v1", disable_env_checker=True)
-    compiled = Compiled(env)
-    compiled.begin(3, 0)
-    states = np.array([[*compiled.begin(3, e)] for e in range(2000)])
+    compiled = CompiledEnv(kernel_of(env), seed=3)
+    states = np.array([[*compiled.begin(e)] for e in range(2000)])
     for column in states.T:
         assert kstest(column, "uniform", args=(-0.05, 0.1)).pvalue > 1e-3
     assert np.abs(np.corrcoef(states.T) - np.eye(4)).max() < 0.1
@@ -136,3 +86,46 @@ def test_no_kernel_is_a_clear_refusal():
 def test_functions_are_compiled():
     kernel = kernel_of(gym.make("CartPole-v1"))
     assert all(nb.extending.is_jitted(f) for f in (kernel.reset, kernel.step, kernel.observe))
+
+
+def test_closures_are_refused():
+    """What a closure holds would not be seen when compiled code is taken from disk."""
+    gain = 2.0
+
+    @kernel_function
+    def closing(parameters, state, action, rng):
+        return gain, False
+
+    with pytest.raises(ValueError, match="closes over values"):
+        Kernel(reset, closing, observe, (), state_size=1, n_features=1, n_actions=2)
+    with pytest.raises(ValueError, match="is not compiled"):
+        Kernel(reset, lambda *_: (0.0, False), observe, (), 1, 1, 2)
+
+
+def test_the_fingerprint_knows_every_file(tmp_path, monkeypatch):
+    """A changed helper in another file changes the fingerprint."""
+    kernel = kernel_of(gym.make("CartPole-v1"))
+    before = kernel.digest
+    assert kernel_of(gym.make("CartPole-v1")).digest == before
+    from trl_explore.kernels import base, philox
+
+    original = base.Path.read_text
+
+    def changed(path, *args, **kwargs):
+        text = original(path, *args, **kwargs)
+        return text + "# changed" if str(path) == philox.__file__ else text
+
+    monkeypatch.setattr(base.Path, "read_text", changed)
+    assert kernel.digest != before
+
+
+def test_a_faulty_kernel_is_noticed(monkeypatch):
+    env = gym.make("CartPole-v1", disable_env_checker=True).unwrapped
+    env.gravity = 9.8
+    kernel = kernel_of(env)
+    env.gravity = 9.9
+    from trl_explore.kernels import check
+
+    monkeypatch.setattr(check, "kernel_of", lambda _: kernel)
+    with pytest.raises(AssertionError, match="in episode 0 at step"):
+        check_kernel(env, episodes=3)

@@ -141,3 +141,18 @@ def test_the_gradient_of_a_gradient_is_refused():
     )
     with pytest.raises(RuntimeError, match="once_differentiable"):
         gradient.sum().backward()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("masked", [[0], [1], [2], [0, 1], [1, 2], [0, 2]])
+def test_a_mask_in_any_place(masked, dtype):
+    logits = torch.tensor([0.5, -1.0, 2.0], dtype=dtype)
+    logits[masked] = -torch.inf
+    logits.requires_grad_()
+    for action in sorted({0, 1, 2} - set(masked)):
+        ours = categorical_log_prob(logits.unsqueeze(0), torch.tensor([action]))
+        plain = logits.log_softmax(-1)[action]
+        torch.testing.assert_close(ours[0], plain)
+        (gradient,) = torch.autograd.grad(ours.sum(), logits)
+        (expected,) = torch.autograd.grad(plain, logits)
+        torch.testing.assert_close(gradient, expected)

@@ -108,7 +108,10 @@ class EpisodeCollector(BaseCollector):
 
         Raises:
             ValueError: if ``active`` has the wrong shape or is nowhere true.
+            RuntimeError: if the collector has been shut down.
         """
+        if self.closed:
+            raise RuntimeError("the collector has been shut down")
         if active is None:
             active = np.ones(self.trials, dtype=np.bool_)
         active = np.asarray(active, dtype=np.bool_)
@@ -126,14 +129,20 @@ class EpisodeCollector(BaseCollector):
         """The episode ``self.episodes[k]`` of every active trial k."""
 
     def iterator(self) -> Iterator[TensorDictBase]:
-        """Deliver episodes until ``total_frames`` is reached, or for ever."""
+        """Episodes in memory of their own, until ``total_frames`` is reached, or for ever."""
         while self.total_frames < 0 or self.frames < self.total_frames:
-            yield self.collect()
+            yield self.collect().clone()
+
+    def __len__(self) -> int:
+        raise TypeError(
+            "the number of frames of an episode, and so of batches, is not known before"
+        )
 
     def set_seed(self, seed: int, static_seed: bool = False) -> int:
         """Start again at episode 0 of every trial under ``seed``; returns the next seed to use."""
         self.lanes.reseed(seed)
         self.episodes[:] = 0
+        self.frames = 0
         return seed if static_seed else seed + 1
 
     def state_dict(self) -> OrderedDict[str, Any]:

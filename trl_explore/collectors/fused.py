@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torch import nn
+from torchrl.data import OneHot
 from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
@@ -28,7 +29,7 @@ from trl_explore.collectors.loop import compile_loop, scratch
 from trl_explore.envs import lane_env
 from trl_explore.kernels import Kernel, kernel_of
 from trl_explore.policy import LinearPolicy
-from trl_explore.strategies import Mixture, MixtureStrategy
+from trl_explore.strategies import MixtureStrategy, Strategy
 from trl_explore.streams import Stream, key
 from trl_explore.threads import pool
 
@@ -133,11 +134,12 @@ class FusedCollector(EpisodeCollector):
             key(self.lanes.seed, Stream.ACTION),
             self._weight.detach().numpy(),
             self._mixture(),
+            self.exploration_type == ExplorationType.RANDOM,
         )
         workers = self._workers if len(trials) >= MIN_TRIALS * self.threads else self._workers[:1]
         if len(workers) == 1:
             return workers[0][0].frames(self._run(workers[0], trials, context))
-        threads = pool(self.threads)
+        threads = pool()
         parts = np.array_split(trials, len(workers))
         calls = [
             threads.submit(self._run, worker, part, context)
@@ -180,8 +182,7 @@ class FusedCollector(EpisodeCollector):
         """Weights and temperature [4, 1], or [4, trials] where they differ between trials."""
         strategy = self.strategy
         assert isinstance(strategy, MixtureStrategy)
-        explore = self.exploration_type == ExplorationType.RANDOM
-        point = strategy.mixture() if explore else Mixture(greedy=1.0)
+        point = strategy.mixture()
         if all(isinstance(value, float) for value in point):
             return np.array(point).reshape(4, 1)
         return np.stack(np.broadcast_arrays(*map(np.atleast_1d, point))).astype(np.float64)
@@ -214,11 +215,37 @@ def compilable(env: TransformedEnv, policy: TensorDictSequential) -> Kernel:
         if type(transform) not in TRANSFORMS:
             raise NotCompilableError(f"the transform {type(transform).__name__} is not known to it")
     linear_weight(policy)
-    if not isinstance(policy[1], MixtureStrategy):
-        raise NotCompilableError(
-            f"{type(policy[1]).__name__} is not a mixture of argmax, softmax and uniform"
-        )
+    check_strategy(policy[1])
     try:
-        return kernel_of(lane)
+        kernel = kernel_of(lane)
     except LookupError as error:
         raise NotCompilableError(str(error.args[0])) from None
+    weight, sizes = linear_weight(policy), (kernel.n_actions, kernel.n_features)
+    lanes = lane_env(env)
+    served = (int(lanes.single_action_space.n), *(lanes.single_observation_space.shape or ()))  # type: ignore[attr-defined]
+    if served != sizes:
+        raise NotCompilableError(
+            f"the kernel is made for (actions, features) {sizes}, not {served}"
+        )
+    if weight.shape != (lanes.num_envs, *sizes) or weight.dtype != torch.float32:
+        raise NotCompilableError(
+            f"the weights are {list(weight.shape)} {weight.dtype}, "
+            f"not {[lanes.num_envs, *sizes]} torch.float32"
+        )
+    return kernel
+
+
+def check_strategy(strategy: Any) -> None:
+    """Refuse a strategy that does more than its mixture says.
+
+    Raises:
+        NotCompilableError: with the reason.
+    """
+    kind, name = type(strategy), type(strategy).__name__
+    if not isinstance(strategy, MixtureStrategy):
+        raise NotCompilableError(f"{name} is not a mixture of argmax, softmax and uniform")
+    if kind.probs is not MixtureStrategy.probs or kind.forward is not Strategy.forward:
+        raise NotCompilableError(f"{name} changes probs or forward")
+    keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
+    if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
+        raise NotCompilableError(f"{name} has a one-hot action or renamed entries")

@@ -25,6 +25,7 @@ import numpy as np
 from numba.core.caching import FunctionCache
 from numpy.typing import NDArray
 
+from trl_explore import kernels
 from trl_explore.kernels import Kernel
 from trl_explore.kernels.base import kernel_function
 from trl_explore.kernels.borrow import borrow
@@ -35,6 +36,9 @@ GROUP = 32
 SCRATCH_BYTES = 1 << 22
 """The scratch of a group should stay in the processor's cache."""
 
+SOURCES = (__file__, *(Path(kernels.__file__).with_name(f"{n}.py") for n in ("philox", "borrow")))
+"""The files that are compiled into the loop, besides the kernel's own."""
+
 _TINY, _HUGE = np.float32(np.finfo(np.float32).tiny), np.float32(np.finfo(np.float32).max)
 _ZERO, _ONE = np.uint64(0), np.uint64(1)
 
@@ -43,7 +47,7 @@ class _Cache(FunctionCache):
     """numba's disk cache, with a key that knows the kernel that the loop was built around.
 
     numba's own key of a closure changes with every process, and does not notice that another file
-    has changed.
+    has changed; this one holds a hash of every file that is compiled into the loop.
     """
 
     digest = ""
@@ -79,13 +83,13 @@ def compile_loop(kernel: Kernel) -> Callable[..., tuple[int, int]]:
     The function returned has the signature
 
         loop(parameters, trials, episodes, first_trial, env_key, action_key, weight, mixture,
-             memory, columns, start) -> (trials done, end)
+             explore, memory, columns, start) -> (trials done, end)
 
     with trials and episodes [m] int64 (rows of ``weight`` and the numbers of their episodes),
     weight [*, n_actions, n_features] float32, mixture [4, 1 or *] float64 (greedy, softmax,
-    uniform, temperature), memory the arrays of ``scratch``, and columns the arrays of
-    ``fused.Columns``, which it fills from frame ``start`` on. It stops before a group of trials
-    whose episodes do not fit.
+    uniform, temperature), explore whether to draw actions or to take the first of largest logit,
+    memory the arrays of ``scratch``, and columns the arrays of ``fused.Columns``, which it fills
+    from frame ``start`` on. It stops before a group of trials whose episodes do not fit.
     """
     functions = (kernel.reset, kernel.step, kernel.observe)
     return _compile(*functions, kernel.n_actions, kernel.n_features, kernel.digest)
@@ -104,7 +108,7 @@ def _compile(  # noqa: C901 - four small functions that close over the kernel's
             reset(parameters, state[j], rng[j])
 
     @kernel_function
-    def act(t, running, group, weight, mixture, parameters, memory, probs, work):
+    def act(t, running, group, weight, mixture, explore, parameters, memory, probs, work):
         """Observe, and draw an action, in every running episode."""
         observation, action, chance = borrow(memory[0]), borrow(memory[1]), borrow(memory[2])
         state, noise = borrow(memory[6]), borrow(memory[8])
@@ -118,10 +122,14 @@ def _compile(  # noqa: C901 - four small functions that close over the kernel's
                 for k in range(1, n_features):
                     logit += weight[row, a, k] * x[k]
                 probs[a] = logit
-            _mix(probs, work, mixture, row if mixture.shape[1] > 1 else 0)
-            chosen = _draw(probs, noise[j, t & 3])
+            if explore:
+                _mix(probs, work, mixture, row if mixture.shape[1] > 1 else 0)
+                chosen = _draw(probs, noise[j, t & 3])
+                chance[j, t] = probs[chosen]
+            else:
+                chosen = np.argmax(probs)
+                chance[j, t] = 1
             action[j, t] = chosen
-            chance[j, t] = probs[chosen]
 
     @kernel_function
     def advance(t, running, parameters, memory):
@@ -141,7 +149,7 @@ def _compile(  # noqa: C901 - four small functions that close over the kernel's
 
     def loop(
         parameters, trials, episodes, first_trial, env_key, action_key, weight, mixture,
-        memory, columns, start,
+        explore, memory, columns, start,
     ):  # fmt: skip
         size = len(memory[4])
         own_running = np.empty(size, dtype=np.int64)
@@ -160,7 +168,10 @@ def _compile(  # noqa: C901 - four small functions that close over the kernel's
             while left > 0:
                 if t & 3 == 0:
                     _draw_noise(t, running[:left], group, numbers, first_trial, action_key, memory)
-                act(t, running[:left], group, rows, mixture, parameters, memory, probs, work)
+                act(
+                    t, running[:left], group, rows, mixture, explore, parameters, memory,
+                    probs, work,
+                )  # fmt: skip
                 left = advance(t, running[:left], parameters, memory)
                 t += 1
             total = 0
@@ -176,7 +187,8 @@ def _compile(  # noqa: C901 - four small functions that close over the kernel's
 
     compiled = nb.njit(nogil=True, error_model="numpy")(loop)
     cache = _Cache(loop)
-    parts = (Path(__file__).read_bytes(), digest.encode(), repr((n_actions, n_features)).encode())
+    inlined = [Path(file).read_bytes() for file in SOURCES]
+    parts = (*inlined, digest.encode(), repr((n_actions, n_features)).encode())
     cache.digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
     compiled._cache = cache
     return compiled
@@ -271,7 +283,7 @@ def _draw(probs, u):
     return chosen
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(error_model="numpy")
 def _deliver(memory, columns, j, row, start):
     """Write episode j of a group to the frames from ``start`` on."""
     x, a, chance, r, steps, ended = memory[:6]

@@ -6,15 +6,20 @@ import hashlib
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numba as nb
+from numba.extending import is_jitted
 
-Function = Callable[..., Any]
+Function = Any
 
-kernel_function = nb.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-"""Decorator of a kernel's functions: compiled into the loop that calls them, kept on disk."""
+kernel_function = nb.njit(nogil=True, error_model="numpy", forceinline=True)
+"""Decorator of a kernel's functions: compiled into the loop that calls them.
+
+Not kept on disk themselves: numba would not notice a change in another file. The loop is.
+"""
 
 
 @dataclass(frozen=True)
@@ -49,14 +54,40 @@ class Kernel:
     n_features: int
     n_actions: int
 
+    def __post_init__(self) -> None:
+        for function in (self.reset, self.step, self.observe):
+            if not is_jitted(function):
+                raise ValueError(f"{function} is not compiled; decorate it with kernel_function")
+            if function.py_func.__closure__:
+                name = function.py_func.__qualname__
+                raise ValueError(f"{name} closes over values; hand them over as parameters")
+
     @property
     def digest(self) -> str:
-        """A fingerprint of the three functions' source files, which decides what may be reused."""
+        """A fingerprint of all source files that the three functions are compiled from.
+
+        It decides which compiled code on disk may be used again.
+        """
         functions = (self.reset, self.step, self.observe)
-        files = {inspect.getsourcefile(f.py_func): f for f in functions}  # type: ignore[attr-defined]
-        text = [inspect.getsource(inspect.getmodule(f.py_func)) for f in files.values()]  # type: ignore[attr-defined, arg-type]
-        names = [f"{f.py_func.__module__}.{f.py_func.__qualname__}" for f in functions]  # type: ignore[attr-defined]
-        return hashlib.sha256("\0".join([*names, *text]).encode()).hexdigest()
+        files: set[str] = set()
+        for function in functions:
+            _add_sources(function, files, set())
+        names = [f"{f.py_func.__module__}.{f.py_func.__qualname__}" for f in functions]
+        parts = [*names, *(Path(file).read_text(encoding="utf-8") for file in sorted(files))]
+        return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _add_sources(function: Any, files: set[str], seen: set[int]) -> None:
+    """Add the file of a compiled function, and of those it calls, to ``files``."""
+    if id(function) in seen:
+        return
+    seen.add(id(function))
+    python = function.py_func
+    files.add(inspect.getsourcefile(python) or "")
+    for name in python.__code__.co_names:
+        called = python.__globals__.get(name)
+        if is_jitted(called):
+            _add_sources(called, files, seen)
 
 
 _BUILDERS: dict[type[gym.Env], Callable[[Any], Kernel]] = {}

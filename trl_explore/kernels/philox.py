@@ -35,7 +35,7 @@ def _multiply_high(typingctx, a, b):
     return types.uint64(types.uint64, types.uint64), codegen
 
 
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
+@nb.njit(error_model="numpy", forceinline=True)
 def philox_block(k0, k1, c0, c1, c2, c3):
     """The four words that key (k0, k1) gives to counter (c0, c1, c2, c3)."""
     for _ in range(10):
@@ -47,13 +47,13 @@ def philox_block(k0, k1, c0, c1, c2, c3):
     return c0, c1, c2, c3
 
 
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
+@nb.njit(error_model="numpy", forceinline=True)
 def to_unit(word):
     """A number in [0, 1) from the upper 53 bits of a word."""
     return np.float64(word >> _ELEVEN) * (1.0 / 9007199254740992.0)
 
 
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
+@nb.njit(error_model="numpy", forceinline=True)
 def begin(rng, key, episode, trial):
     """Set ``rng`` [STATE_SIZE] to the start of an episode's stream (``streams.generator``)."""
     rng[0], rng[1] = key[0], key[1]
@@ -61,7 +61,7 @@ def begin(rng, key, episode, trial):
     rng[10] = _FOUR
 
 
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
+@nb.njit(error_model="numpy", forceinline=True)
 def random(rng):
     """The next number of a stream, uniform in [0, 1): what ``np_random.random()`` would give."""
     if rng[10] == _FOUR:

@@ -63,11 +63,12 @@ class _CategoricalLogProb(torch.autograd.Function):
 @nb.njit(cache=True, nogil=True)
 def _forward(logits, action, probs, out):  # pragma: no cover - compiled
     n = logits.shape[1]
+    zero = np.zeros(1, dtype=logits.dtype)[0]
     for i in range(len(logits)):
         largest = logits[i, 0]
         for k in range(1, n):
             largest = max(largest, logits[i, k])
-        total = logits[i, 0] - logits[i, 0]  # 0 of the right dtype, and NaN where a logit is
+        total = zero
         for k in range(n):
             probs[i, k] = np.exp(logits[i, k] - largest)
             total += probs[i, k]

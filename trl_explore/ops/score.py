@@ -117,6 +117,7 @@ def _score(observation, action, advantage, trial, weight, total, gradient):
     trials, n_actions, n_features = weight.shape
     probs = np.empty(n_actions, dtype=weight.dtype)
     slope = np.empty((n_actions, n_features))
+    zero = np.zeros(1, dtype=weight.dtype)[0]
     i = 0
     while i < len(action):
         lane = trial[i]
@@ -135,7 +136,7 @@ def _score(observation, action, advantage, trial, weight, total, gradient):
                 probs[a] = logit
             largest = probs.max()
             log_prob = probs[chosen] - largest
-            normaliser = probs[0] - probs[0]  # 0 of the right dtype, and NaN where a logit is
+            normaliser = zero
             for a in range(n_actions):
                 probs[a] = np.exp(probs[a] - largest)
                 normaliser += probs[a]
