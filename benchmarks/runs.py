@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from plain import train as train_plain
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
@@ -33,6 +32,7 @@ from trl_explore.strategies import (
     Softmax,
     Strategy,
 )
+from trl_explore.threads import set_threads
 from trl_explore.trainer import Trainer
 from trl_explore.trials import Trials
 
@@ -102,12 +102,12 @@ def build(
 
 def train(trainer: Trainer, threads: int = 1) -> Run:
     """Train until every trial has stopped."""
-    torch.set_num_threads(threads)
+    set_threads(threads)
     gc.collect()
     started = time.perf_counter()
     trials = trainer.run()
     seconds = time.perf_counter() - started
-    torch.set_num_threads(1)
+    set_threads(1)
     trainer.collector.shutdown()
     episodes = trials.episodes()
     longest = np.zeros(trials.iteration + 1, dtype=np.int64)

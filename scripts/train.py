@@ -57,9 +57,11 @@ def train(config: DictConfig, folder: Path) -> None:
     import torch
 
     from trl_explore.console import Progress
+    from trl_explore.threads import set_threads
 
     trainer = configuration.build_trainer(config)
-    torch.set_num_threads(config.threads)
+    torch.set_num_threads(1)
+    set_threads(config.threads)
     results.clear(folder)
     configuration.save_hydra(folder, config)
     progress = Progress(folder.name)

@@ -373,6 +373,15 @@ def results_below(folder: Path) -> list[Path]:
 
 
 WRONG = {
+    f"seed={2**63}": "seed must be an integer <= 9223372036854775807",
+    f"first_trial={2**63 - 1} trials=2": "first_trial must be an integer <=",
+    "trials=100000000000": "trials must be an integer <=",
+    "env.max_steps=1000000000000": "max_steps must be an integer <=",
+    "episodes=maybe": "episodes must be true or false, got 'maybe'",
+    "restart=perhaps": "restart must be true or false, got 'perhaps'",
+    "~loss.gamma": "'loss.gamma' has been removed",
+    "strategy=null": "strategy",
+    "collector=fused env=gym env.id=Acrobot-v1": "no kernel is registered for AcrobotEnv",
     "strategy=boltzmann": "strategy=boltzmann",
     "strategy=epsilon_greedy strategy.epsilon=1.5": "in [0, 1], got 1.5",
     "strategy=epsilon_greedy strategy.epsilon=-0.1": "in [0, 1], got -0.1",

@@ -312,7 +312,7 @@ def test_an_environment_without_a_limit_needs_max_steps(monkeypatch):
         ("CartPole-v1", {"max_steps": -3}, "max_steps must be an integer >= 1, got -3"),
         ("CartPole-v1", {"max_steps": 1.5}, "max_steps must be an integer >= 1, got 1.5"),
         ("CartPole-v1", {"trials": 0}, "num_envs must be an integer >= 1, got 0"),
-        ("CartPole-v1", {"seed": -1}, "seed must be a non-negative integer, got -1"),
+        ("CartPole-v1", {"seed": -1}, "seed must be an integer >= 0, got -1"),
     ],
 )
 def test_wrong_input_is_one_clear_line(id, arguments, message):

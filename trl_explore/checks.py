@@ -51,7 +51,7 @@ LARGEST = 2**63 - 1
 """The largest integer that a column of the results holds."""
 
 
-def check_integer(name: str, value: Any, low: int, high: int = LARGEST) -> int:
+def check_integer(name: str, value: Any, low: int, high: int | None = None) -> int:
     """Return ``value`` as an int if it is an integer from ``low`` to ``high``.
 
     Raises:
@@ -60,9 +60,10 @@ def check_integer(name: str, value: Any, low: int, high: int = LARGEST) -> int:
     number = None
     if isinstance(value, Integral) and not isinstance(value, bool):
         number = int(value)
-    if number is None or not low <= number <= high:
-        allowed = f"<= {high}" if number is not None and number > high else f">= {low}"
-        raise ValueError(f"{name} must be an integer {allowed}, got {value!r}")
+    if number is None or number < low:
+        raise ValueError(f"{name} must be an integer >= {low}, got {value!r}")
+    if high is not None and number > high:
+        raise ValueError(f"{name} must be an integer <= {high}, got {value!r}")
     return number
 
 

@@ -232,6 +232,10 @@ def describe(error: BaseException) -> str:
         return f"there is no {group.replace('/', '=')}; available: {', '.join(options)}"
     if unknown and unknown[1]:
         return f"unknown key '{unknown[1]}'; --help lists the keys of this configuration"
+    if "Config group override must be" in str(error):
+        return (
+            f"each of {', '.join(GROUPS)} must name one of its files in conf/, not null or a list"
+        )
     if isinstance(error, OSError) and error.filename:
         return f"cannot write {error.filename}: {error.strerror}"
     return " ".join(lines) or type(error).__name__

@@ -8,15 +8,34 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
+import numba as nb
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from trl_explore.checks import MAX_THREADS
+from trl_explore.checks import MAX_THREADS, check_integer
 
 MIN_FRAMES = 50_000
 """Below this number of frames, handing work to a thread costs more than it saves."""
+
+
+_threads = 1
+
+
+def set_threads(threads: int) -> None:
+    """Set among how many threads compiled code divides large data; results do not depend on it.
+
+    Not torch's threads: those wait for their next task by spinning, on the cores that these need.
+    Beside more than one of these, torch should have one (``torch.set_num_threads(1)``).
+    """
+    global _threads
+    _threads = check_integer("threads", threads, 1, MAX_THREADS)
+
+
+def get_threads() -> int:
+    """Among how many threads compiled code divides large data."""
+    return _threads
 
 
 @lru_cache(maxsize=1)
@@ -39,7 +58,7 @@ def by_trial(
     """Call ``kernel(*frames, *shared)``, on large data in several threads at once.
 
     Every thread has the frames of whole trials, in their order, so that no result depends on the
-    number of threads (``torch.set_num_threads``) as long as trials share nothing in the kernel.
+    number of threads (``set_threads``) as long as trials share nothing in the kernel.
 
     Args:
         kernel: compiled, releasing the interpreter's lock; returns whether the data are valid.
@@ -49,8 +68,8 @@ def by_trial(
     Returns:
         Whether every call found its data valid.
     """
-    trial, threads = frames[-1], torch.get_num_threads()
-    if threads == 1 or len(trial) < MIN_FRAMES or (np.diff(trial) < 0).any():
+    trial, threads = frames[-1], _threads
+    if threads == 1 or len(trial) < MIN_FRAMES or not _ascending(trial):
         return kernel(*frames, *shared)
     cuts = [len(trial) * j // threads for j in range(1, threads)]
     edges = [0, *(int(np.searchsorted(trial, trial[cut])) for cut in cuts), len(trial)]
@@ -60,6 +79,14 @@ def by_trial(
     ]
     results = [call.result() for call in calls]  # wait for all, whatever the first one says
     return all(results)
+
+
+@nb.njit(cache=True, nogil=True)
+def _ascending(trial):
+    falls = 0
+    for i in range(1, len(trial)):  # no early exit, so that it becomes vector instructions
+        falls += trial[i] < trial[i - 1]
+    return falls == 0
 
 
 def check_frames(frames: torch.Size, **columns: Tensor) -> None:

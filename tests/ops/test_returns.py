@@ -133,7 +133,7 @@ def test_the_number_of_threads_does_not_matter(threads, in_order, monkeypatch):
     trial = torch.arange(500) // 60
     trial = trial if in_order else 8 - trial
     expected = return_to_go(reward, done, 0.97, trial)
-    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
+    monkeypatch.setattr("trl_explore.threads._threads", threads)
     assert torch.equal(return_to_go(reward, done, 0.97, trial), expected)
 
 

@@ -146,7 +146,7 @@ def test_the_number_of_threads_does_not_matter(n_actions, in_order, threads, mon
     given = list(problem(frames=600, trials=9, n_actions=n_actions, dtype=torch.float32))
     given[4] = given[4].sort().values if in_order else given[4]
     expected = value_and_gradient(linear_softmax_score, *given)
-    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
+    monkeypatch.setattr("trl_explore.threads._threads", threads)
     found = value_and_gradient(linear_softmax_score, *given)
     assert torch.equal(found[0], expected[0])
     assert torch.equal(found[1], expected[1])

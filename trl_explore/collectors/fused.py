@@ -78,11 +78,6 @@ class Columns:
         after = (torch.from_numpy(array).unsqueeze(-1) for array in grown[4:])
         self._next = dict(zip(NEXT, after, strict=True))
 
-    def copy(self, other: Columns, start: int, n: int) -> None:
-        """Take over the first n frames of ``other``, from frame ``start`` on."""
-        for own, source in zip(self.arrays, other.arrays, strict=True):
-            own[start : start + n] = source[:n]
-
     def frames(self, n: int) -> TensorDict:
         """The first n frames as a TensorDict over the same memory."""
         batch = torch.Size([n])
@@ -150,8 +145,9 @@ class FusedCollector(EpisodeCollector):
         columns[0].reserve(sum(sizes), sizes[0])
         ends = np.cumsum(sizes).tolist()
         copies = [
-            threads.submit(columns[0].copy, columns[i], ends[i - 1], sizes[i])
+            threads.submit(np.copyto, own[ends[i - 1] : ends[i]], array[: sizes[i]])
             for i in range(1, len(workers))
+            for own, array in zip(columns[0].arrays, columns[i].arrays, strict=True)
         ]
         for copy in copies:
             copy.result()

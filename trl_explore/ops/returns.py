@@ -6,7 +6,7 @@ import numba as nb
 import torch
 from torch import Tensor
 
-from trl_explore.threads import by_trial, check_frames, fits
+from trl_explore.threads import check_frames, fits
 
 
 def return_to_go(reward: Tensor, done: Tensor, gamma: float, trial: Tensor | None = None) -> Tensor:
@@ -44,7 +44,7 @@ def return_to_go(reward: Tensor, done: Tensor, gamma: float, trial: Tensor | Non
             trial = rows.expand(-1, reward.shape[-1]).reshape(-1)
         out = torch.empty(reward.shape, dtype=reward.dtype)
         frames = (reward.detach().reshape(-1), done.reshape(-1), out.view(-1), trial.contiguous())
-        by_trial(_flat, [column.numpy() for column in frames], (gamma,))
+        _flat(*[column.numpy() for column in frames], gamma)  # pyright: ignore[reportCallIssue]
         return out
     if trial is not None:
         done = done.clone()
