@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torchrl.envs import Compose, EnvBase, RewardSum, StepCounter, TransformedEnv
 from torchrl.envs.libs.gym import GymWrapper
 
-from trl_explore.checks import LARGEST, check_integer
+from trl_explore.checks import LARGEST, check_integer, first_line
 from trl_explore.streams import Stream, generator
 
 
@@ -66,11 +66,6 @@ def _construct(id: str, max_steps: int | None, kwargs: Mapping[str, Any]) -> gym
     for warning in caught:
         warnings.warn(warning.message, warning.category, stacklevel=2)
     return env
-
-
-def first_line(error: BaseException) -> str:
-    """The first line of an error's message."""
-    return str(error).strip().split("\n")[0] or type(error).__name__
 
 
 class LaneVectorEnv(VectorEnv):

@@ -1,0 +1,36 @@
+"""From a Hydra configuration to built objects: names, checks, and one line for what is wrong.
+
+The only part of the package that knows Hydra and OmegaConf. It imports torch only when a job is
+built, so that ``--help``, ``--cfg`` and tab completion are quick.
+"""
+
+from trl_explore.checks import first_line
+from trl_explore.config.base import CONF, GROUPS, INERT, ConfigError
+from trl_explore.config.building import (
+    build_trainer,
+    current_choices,
+    current_folder,
+    is_multirun,
+    save_hydra,
+)
+from trl_explore.config.checking import check_keys, describe, differences, resolved
+from trl_explore.config.naming import job_name, register_resolvers
+
+__all__ = [
+    "CONF",
+    "GROUPS",
+    "INERT",
+    "ConfigError",
+    "build_trainer",
+    "check_keys",
+    "current_choices",
+    "current_folder",
+    "describe",
+    "differences",
+    "first_line",
+    "is_multirun",
+    "job_name",
+    "register_resolvers",
+    "resolved",
+    "save_hydra",
+]

@@ -1,0 +1,120 @@
+"""From a configuration to built objects; and what Hydra knows of the running job."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import InstantiationException
+from hydra.types import RunMode
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from trl_explore.checks import LARGEST, MAX_THREADS, check_integer
+from trl_explore.config.base import ConfigError
+from trl_explore.config.checking import describe
+
+if TYPE_CHECKING:
+    from trl_explore.trainer import Trainer
+
+INTEGERS = {
+    "seed": (0, LARGEST),
+    "trials": (1, 10**7),
+    "first_trial": (0, LARGEST - 10**7),
+    "threads": (1, MAX_THREADS),
+}
+"""Keys of the top level that hold an integer, and its bounds."""
+
+
+def build_trainer(config: DictConfig) -> Trainer:
+    """Everything that a job needs, built from its configuration.
+
+    Raises:
+        ConfigError: if a value is not allowed, before anything is trained or written.
+    """
+    from tensordict.nn import TensorDictSequential
+
+    from trl_explore.actor import SoftmaxActor
+    from trl_explore.trainer import Trainer
+    from trl_explore.trials import Trials
+
+    for key, (low, high) in INTEGERS.items():
+        _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))
+    trials = _build(
+        None,
+        lambda: Trials(
+            config.trials,
+            max_iterations=config.max_iterations,
+            score_threshold=config.score_threshold,
+            score_window=config.score_window,
+        ),
+    )
+    streams = {"seed": config.seed, "first_trial": config.first_trial}
+    strategy = _instantiate(config, "strategy")()
+    env = _instantiate(config, "env")(trials=config.trials, **streams)
+    policy = _instantiate(config, "policy")(env=env, **streams)
+    optimizer = _instantiate(config, "optimizer")(policy.parameters())
+    loss = _instantiate(config, "loss")(SoftmaxActor(policy), trials=config.trials)
+    collector = _instantiate(config, "collector")(env, TensorDictSequential(policy, strategy))
+    return _build("loss", lambda: Trainer(collector, loss, optimizer, trials))
+
+
+def _instantiate(config: DictConfig, group: str) -> Callable[..., Any]:
+    """The constructor that a group's configuration stands for."""
+
+    def construct(*args: Any, **kwargs: Any) -> Any:
+        def call() -> Any:
+            built = instantiate(config[group], _convert_="all", _partial_=True)
+            return built(*args, **kwargs)
+
+        return _build(group, call)
+
+    return construct
+
+
+def _build(group: str | None, call: Callable[[], Any]) -> Any:
+    """Call, and turn an error of the arguments into one line with the group's name."""
+    try:
+        return call()
+    except ConfigError:
+        raise
+    except InstantiationException as error:
+        raise ConfigError(_of(group, describe(error.__cause__ or error))) from error
+    except MemoryError as error:
+        raise ConfigError(_of(group, "not enough memory for so many trials")) from error
+    except (ValueError, TypeError, OverflowError) as error:
+        raise ConfigError(_of(group, describe(error))) from error
+
+
+def _of(group: str | None, message: str) -> str:
+    return f"{group}: {message}" if group else message
+
+
+def current_choices() -> dict[str, str | None]:
+    """Which option of every group the running job has."""
+    return dict(HydraConfig.get().runtime.choices)
+
+
+def current_folder() -> Path:
+    """The folder of the running job."""
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
+def is_multirun() -> bool:
+    """Whether the running job belongs to a sweep."""
+    return HydraConfig.get().mode == RunMode.MULTIRUN
+
+
+def save_hydra(folder: Path, config: DictConfig) -> None:
+    """Write ``.hydra/`` as Hydra does."""
+    hydra = OmegaConf.create({"hydra": HydraConfig.get()})
+    files = {
+        "config.yaml": config,
+        "hydra.yaml": hydra,
+        "overrides.yaml": HydraConfig.get().overrides.task,
+    }
+    (folder / ".hydra").mkdir(exist_ok=True)
+    for name, node in files.items():
+        (folder / ".hydra" / name).write_text(OmegaConf.to_yaml(node), encoding="utf-8")

@@ -1,0 +1,98 @@
+"""What is wrong with a configuration, and what differs between two: one line each."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from hydra.errors import MissingConfigException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+
+from trl_explore.checks import first_line
+from trl_explore.config.base import CONF, GROUPS, INERT, ConfigError, defaults_of, same
+
+
+def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
+    """Refuse keys that no file of ``conf/`` knows, which Hydra lets in with ``+key=value``.
+
+    Raises:
+        ConfigError: naming the key and the known ones.
+    """
+    known = set(defaults_of(choices))
+    for name in config:
+        if name not in known:
+            raise ConfigError(f"unknown key {name!r}; known: {', '.join(sorted(known))}")
+    for name in sorted(known - {str(key) for key in config}):
+        raise ConfigError(f"the key {name!r} has been removed, but is needed")
+    for name in ("episodes", "restart"):
+        if not isinstance(config[name], bool):
+            raise ConfigError(f"{name} must be true or false, got {config[name]!r}")
+    for group in GROUPS:
+        _check_group(config, group, choices.get(group))
+
+
+def _check_group(config: DictConfig, group: str, option: str | None) -> None:
+    path = CONF / group / f"{option}.yaml"
+    if not isinstance(config[group], DictConfig):
+        raise ConfigError(f"{group} must name a file of conf/{group}/, got {config[group]}")
+    if not path.is_file():
+        return  # a file of the user's own; the constructor checks
+    allowed = {str(key) for key in OmegaConf.load(path)}
+    given = {str(key) for key in config[group]}
+    for name in sorted(given - allowed):
+        shown = sorted(key for key in allowed if not key.startswith("_"))
+        raise ConfigError(
+            f"unknown key '{group}.{name}'; {group}={option} has: {', '.join(shown) or 'no keys'}"
+        )
+    for name in sorted(allowed - given):
+        raise ConfigError(f"the key '{group}.{name}' has been removed, but is needed")
+
+
+def resolved(config: DictConfig) -> dict[str, Any]:
+    """The configuration as plain data.
+
+    Raises:
+        ConfigError: if a mandatory value is missing or an interpolation fails.
+    """
+    try:
+        container = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    except MissingMandatoryValue as error:
+        raise ConfigError(f"{error.full_key} must be set, e.g. {error.full_key}=…") from None
+    except OmegaConfBaseException as error:
+        raise ConfigError(first_line(error)) from None
+    assert isinstance(container, dict)
+    return container  # type: ignore[return-value]
+
+
+def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """The keys in which two resolved configurations would give different results."""
+    found: list[str] = []
+    for key in sorted({*old, *new}):
+        if f"{prefix}{key}" in INERT:
+            continue
+        a, b = old.get(key), new.get(key)
+        if isinstance(a, Mapping) and isinstance(b, Mapping):
+            found += differences(a, b, f"{prefix}{key}.")
+        elif not same(a, b):
+            found.append(f"{prefix}{key}: {a} there, {b} here")
+    return found
+
+
+def describe(error: BaseException) -> str:
+    """An error of Hydra, OmegaConf or the file system as one line."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    unknown = re.match(r"Could not override '([^']+)'", str(error))
+    if isinstance(error, MissingConfigException):
+        group, options = error.missing_cfg_file or "", error.options or []
+        return f"there is no {group.replace('/', '=')}; available: {', '.join(options)}"
+    if unknown and unknown[1]:
+        return f"unknown key '{unknown[1]}'; --help lists the keys of this configuration"
+    if "Config group override must be" in str(error):
+        return (
+            f"each of {', '.join(GROUPS)} must name one of its files in conf/, not null or a list"
+        )
+    if isinstance(error, OSError) and error.filename:
+        return f"cannot write {error.filename}: {error.strerror}"
+    return " ".join(lines) or type(error).__name__

@@ -1,0 +1,100 @@
+"""Names of sweeps and jobs, from resolved values."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from typing import Any
+from urllib.parse import quote
+
+from omegaconf import DictConfig, OmegaConf
+
+from trl_explore.config.base import CONF, GROUPS, INERT, ConfigError, defaults_of, same
+
+ABSENT = object()
+"""Stands for the default of a key that ``conf/`` does not have."""
+
+
+def register_resolvers() -> None:
+    """Make ``${sweep_name:}`` and ``${job_name:}`` known to OmegaConf."""
+    OmegaConf.register_new_resolver("sweep_name", _sweep_name, replace=True)
+    OmegaConf.register_new_resolver("job_name", _job_name, replace=True)
+
+
+def _choices(root: DictConfig) -> Mapping[str, str | None]:
+    return root.hydra.runtime.choices
+
+
+def _sweep_name(*, _root_: DictConfig) -> str:
+    if not str(_root_.output_dir or "").strip():
+        raise ConfigError("output_dir must name a folder, got nothing")
+    return _choices(_root_).get("experiment") or "train"
+
+
+def _job_name(*, _root_: DictConfig) -> str:
+    return job_name(_root_, _choices(_root_))
+
+
+def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
+    """The strategy with its parameters, and every other value that differs from ``conf/``.
+
+    Named by resolved values, so that ``temperature=1`` and ``temperature=1.0`` are one job, and
+    different configurations never share a folder: ``epsilon_greedy,epsilon=0.1,seed=3``.
+    """
+    defaults = defaults_of(choices)
+    parts = [str(choices.get("strategy"))]
+    parts += [
+        f"{group}={choices.get(group)}"
+        for group in GROUPS
+        if group != "strategy" and choices.get(group) != _default_choices()[group]
+    ]
+    leaves = _leaves(defaults, config)
+    for key in sorted(leaves, key=lambda key: (not key.startswith("strategy."), key)):
+        value, default = OmegaConf.select(config, key), leaves[key]
+        shown_always = key.startswith("strategy.") and not key.startswith("strategy._")
+        usual = default is not ABSENT and same(value, default)
+        if key in INERT or (usual and not shown_always):
+            continue
+        if isinstance(default, float) and isinstance(value, int):
+            value = float(value)
+        parts.append(f"{key.removeprefix('strategy.')}={value}")
+    name = quote(",".join(parts), safe="=,.+-_[] ").replace(" ", "")
+    if len(name) <= 200:
+        return name
+    return f"{name[:180]}-{hashlib.sha256(name.encode()).hexdigest()[:12]}"
+
+
+def _default_choices() -> dict[str, str]:
+    entries = OmegaConf.load(CONF / "train.yaml").defaults  # type: ignore[union-attr]
+    named = (entry for entry in entries if isinstance(entry, DictConfig))
+    return {str(group): option for entry in named for group, option in entry.items()}
+
+
+def _leaves(defaults: DictConfig, config: DictConfig) -> dict[str, Any]:
+    """Every key of the configuration that holds a value, with the value that ``conf/`` gives."""
+    leaves: dict[str, Any] = {}
+
+    def walk(node: DictConfig, prefix: str) -> None:
+        for name in node:
+            key = f"{prefix}{name}"
+            if key == "hydra" or (OmegaConf.is_missing(node, name) and not prefix):
+                continue
+            child = None if OmegaConf.is_missing(node, name) else node[name]
+            if isinstance(child, DictConfig):
+                walk(child, f"{key}.")
+            else:
+                leaves[key] = _default(defaults, config, key)
+
+    walk(config, "")
+    return leaves
+
+
+def _default(defaults: DictConfig, config: DictConfig, key: str) -> Any:
+    """The value that ``conf/`` gives a key; where it points to another key, that one's value."""
+    parent, _, name = key.rpartition(".")
+    node = OmegaConf.select(defaults, parent, throw_on_missing=False) if parent else defaults
+    if not isinstance(node, DictConfig) or name not in node or OmegaConf.is_missing(node, name):
+        return ABSENT
+    pointer = re.fullmatch(r"\$\{([\w.]+)\}", str(OmegaConf.to_container(node)[name]))  # type: ignore[index]
+    return OmegaConf.select(config, pointer[1]) if pointer else node[name]
