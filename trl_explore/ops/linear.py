@@ -77,7 +77,7 @@ class _LaneLinear(torch.autograd.Function):
 
 
 @nb.njit(cache=True, nogil=True)
-def _forward(x, weight, trial, out):  # pragma: no cover - compiled
+def _forward(x, weight, trial, out):
     n_out, n_in = weight.shape[1:]
     for i in range(len(x)):
         lane = trial[i]
@@ -92,7 +92,7 @@ def _forward(x, weight, trial, out):  # pragma: no cover - compiled
 
 
 @nb.njit(cache=True, nogil=True)
-def _backward(x, grad, trial, total):  # pragma: no cover - compiled
+def _backward(x, grad, trial, total):
     n_out, n_in = total.shape[1:]
     for i in range(len(x)):
         lane = trial[i]

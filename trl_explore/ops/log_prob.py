@@ -61,7 +61,7 @@ class _CategoricalLogProb(torch.autograd.Function):
 
 
 @nb.njit(cache=True, nogil=True)
-def _forward(logits, action, probs, out):  # pragma: no cover - compiled
+def _forward(logits, action, probs, out):
     n = logits.shape[1]
     zero = np.zeros(1, dtype=logits.dtype)[0]
     for i in range(len(logits)):
@@ -78,7 +78,7 @@ def _forward(logits, action, probs, out):  # pragma: no cover - compiled
 
 
 @nb.njit(cache=True, nogil=True)
-def _backward(probs, action, grad, out):  # pragma: no cover - compiled
+def _backward(probs, action, grad, out):
     n = probs.shape[1]
     for i in range(len(probs)):
         for k in range(n):
