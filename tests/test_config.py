@@ -270,7 +270,7 @@ def test_a_long_name_is_short_and_still_its_own():
         ("+foo=1", r"unknown key 'foo'; known: .*seed.*trials"),
         ("+strategy.epsilon=0.1", r"unknown key 'strategy.epsilon'; strategy=softmax has: temper"),
         ("+loss.gama=1", r"unknown key 'loss.gama'; loss=reinforce has: .*gamma"),
-        ("+env.steps=1", r"unknown key 'env.steps'; env=cartpole has: id, kwargs, max_steps"),
+        ("+env.steps=1", r"unknown key 'env.steps'; env=cartpole has: id, kwargs, max_iter"),
         ("+optimizer.betas=[0,0]", r"unknown key 'optimizer.betas'; optimizer=adam has: lr"),
         ("+policy.bias=true", r"unknown key 'policy.bias'; policy=linear has: no keys"),
     ],

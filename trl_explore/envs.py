@@ -84,6 +84,7 @@ class LaneVectorEnv(VectorEnv):
         seed: seed of the job.
         first_trial: trial index of lane 0.
         kwargs: arguments of the environment's constructor.
+        stream: from which of the trials' streams the environment draws.
     """
 
     def __init__(
@@ -95,6 +96,7 @@ class LaneVectorEnv(VectorEnv):
         seed: int = 0,
         first_trial: int = 0,
         kwargs: Mapping[str, Any] | None = None,
+        stream: Stream = Stream.ENVIRONMENT,
     ) -> None:
         check_integer("num_envs", num_envs, 1)
         check_integer("first_trial", first_trial, 0, LARGEST - num_envs)
@@ -117,6 +119,7 @@ class LaneVectorEnv(VectorEnv):
         self.observation_space = batch_space(env.observation_space, num_envs)
         self.action_space = batch_space(env.action_space, num_envs)
         self.first_trial = first_trial
+        self.stream = stream
         self.reseed(seed)
         shape = (num_envs, *(env.observation_space.shape or ()))
         self._observations = np.zeros(shape, dtype=env.observation_space.dtype)
@@ -126,7 +129,7 @@ class LaneVectorEnv(VectorEnv):
 
     def reseed(self, seed: int) -> None:
         """Start every lane again at episode 0 of its trial under ``seed``."""
-        generator(seed, Stream.ENVIRONMENT, 0)  # raises if the seed is not valid
+        generator(seed, self.stream, 0)  # raises if the seed is not valid
         self.seed = int(seed)
         self.episodes = np.zeros(self.num_envs, dtype=np.int64)
 
@@ -148,7 +151,7 @@ class LaneVectorEnv(VectorEnv):
         for lane in lanes:
             env = self.envs[lane]
             trial, episode = self.first_trial + int(lane), int(self.episodes[lane])
-            env.unwrapped.np_random = generator(self.seed, Stream.ENVIRONMENT, trial, episode)
+            env.unwrapped.np_random = generator(self.seed, self.stream, trial, episode)
             self._observations[lane] = env.reset()[0]
             self.episodes[lane] += 1
             self._terminated[lane] = self._truncated[lane] = False
@@ -192,6 +195,7 @@ def make_env(
     seed: int = 0,
     first_trial: int = 0,
     kwargs: Mapping[str, Any] | None = None,
+    stream: Stream = Stream.ENVIRONMENT,
 ) -> TransformedEnv:
     """Any gymnasium environment as a TorchRL environment with batch size [trials].
 
@@ -206,6 +210,7 @@ def make_env(
         seed: seed of the job.
         first_trial: trial index of lane 0.
         kwargs: arguments of the environment's constructor.
+        stream: from which of the trials' streams the environment draws.
 
     Raises:
         ValueError: if the environment does not exist, is not of a kind served, or has no limit.
@@ -214,7 +219,9 @@ def make_env(
         >>> make_env("CartPole-v1", trials=3).rollout(2)["observation"].shape
         torch.Size([3, 2, 4])
     """
-    lanes = LaneVectorEnv(id, trials, max_steps, seed=seed, first_trial=first_trial, kwargs=kwargs)
+    lanes = LaneVectorEnv(
+        id, trials, max_steps, seed=seed, first_trial=first_trial, kwargs=kwargs, stream=stream
+    )
     env = GymWrapper(lanes, categorical_action_encoding=True)
     transforms = [StepCounter(), RewardSum()]
     return TransformedEnv(env, Compose(*transforms))

@@ -15,6 +15,8 @@ class Stream(IntEnum):
     WEIGHTS = 0
     ENVIRONMENT = 1
     ACTION = 2
+    STRATEGY = 3
+    EVALUATION = 4
 
 
 @lru_cache(maxsize=256)

@@ -61,9 +61,9 @@ class Trainer:
     def _iterate(self, started: float) -> None:
         active = self.trials.active
         data = self.collector.collect(active)
-        scores, frames = outcomes(data)
+        scores, frames = outcomes(data, self.collector.episodes_per_update)
         trial_loss = self._update(data, active)
-        self.collector.strategy.step()
+        self.collector.strategy.step(data)
         diverged = self._diverged(trial_loss, active)
         self.trials.record(scores, frames, diverged, time.perf_counter() - started)
 
@@ -84,9 +84,18 @@ class Trainer:
         return ~np.logical_and.reduce(finite)[active]
 
 
-def outcomes(data: TensorDictBase) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Score and number of frames of every episode in a collector's data, in their order."""
+def outcomes(
+    data: TensorDictBase, episodes_per_update: int = 1
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Score and number of frames of every episode in a collector's data, in their order.
+
+    Returns:
+        Each [active], or [active, k] where every trial has k > 1 episodes.
+    """
     after = data.get("next")
     last = np.flatnonzero(after.get("done").numpy())
-    scores = after.get("episode_reward").numpy()[last, 0]
-    return scores.astype(np.float64), after.get("step_count").numpy()[last, 0]
+    scores = after.get("episode_reward").numpy()[last, 0].astype(np.float64)
+    frames = after.get("step_count").numpy()[last, 0]
+    if episodes_per_update == 1:
+        return scores, frames
+    return scores.reshape(-1, episodes_per_update), frames.reshape(-1, episodes_per_update)

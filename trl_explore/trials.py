@@ -48,6 +48,7 @@ class Trials:
         """The mean score over the last ``score_window`` episodes, or over all while fewer [n]."""
         self._episode_score = np.zeros(n)
         self._n_converged = 0
+        self._n_episodes = 0
         self._window = np.zeros((n, self.score_window))
         self._episodes: list[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]] = []
         self._curves: list[tuple[float, ...]] = []
@@ -70,25 +71,30 @@ class Trials:
         """Enter one iteration and stop the trials whose time has come.
 
         Args:
-            scores: undiscounted return of the episode of every active trial, ascending [active].
-            frames: its number of frames [active].
+            scores: undiscounted return of the episodes of every active trial, trials ascending
+                [active], or [active, k] with k episodes for each.
+            frames: their numbers of frames, in the same shape.
             diverged: whether the trial has left the finite numbers [active].
             seconds: wall time since the batch began.
         """
         trial = np.flatnonzero(self.active)
         self._episodes.append((trial, scores, frames))
-        self._window[trial, (self.iteration - 1) % self.score_window] = scores
-        filled = min(self.iteration, self.score_window)
+        columns = scores.reshape(len(trial), -1)
+        k = columns.shape[1]
+        for j in range(k):
+            self._window[trial, (self._n_episodes + j) % self.score_window] = columns[:, j]
+        self._n_episodes += k
+        filled = min(self._n_episodes, self.score_window)
         mean = np.add.reduce(self._window[trial, :filled], axis=1) / filled
         self.score[trial] = mean
-        self._episode_score[trial] = scores
+        self._episode_score[trial] = scores if k == 1 and scores.ndim == 1 else columns.mean(1)
         self.iterations[trial] += 1
-        self.frames[trial] += frames
+        self.frames[trial] += frames if frames.ndim == 1 else frames.sum(1)
         self.seconds[trial] = seconds
 
         # In its last iteration a trial counts with its episode, from then on with its final score.
         episode_score = np.add.reduce(self._episode_score) / len(self)
-        full = self.iteration >= self.score_window
+        full = self._n_episodes >= self.score_window
         passed = (mean > self.score_threshold) & full & ~diverged
         if passed.any() or diverged.any() or self.iteration >= self.max_iterations:
             self._stop(trial, passed, diverged)
@@ -120,9 +126,11 @@ class Trials:
 
     def episodes(self) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
         """One row for each episode, by iteration and then trial."""
-        trial, score, frames = (
-            np.concatenate(column) for column in zip(*self._episodes, strict=True)
-        )
-        sizes = [len(entry[0]) for entry in self._episodes]
+        trials, scores, all_frames = zip(*self._episodes, strict=True)
+        score = np.concatenate([column.reshape(-1) for column in scores])
+        frames = np.concatenate([column.reshape(-1) for column in all_frames])
+        sizes = [column.size for column in scores]
+        repeats = [column.size // len(t) for t, column in zip(trials, scores, strict=True)]
+        trial = np.concatenate([np.repeat(t, k) for t, k in zip(trials, repeats, strict=True)])
         iteration = np.repeat(np.arange(1, len(sizes) + 1), sizes)
         return {"trial": trial, "iteration": iteration, "score": score, "frames": frames}

@@ -5,6 +5,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tensordict.nn import TensorDictModuleBase
 
 from trl_explore.schedules import Constant, Exponential, Linear
 from trl_explore.strategies import (
@@ -246,13 +247,13 @@ def test_values_per_trial_need_the_trial():
 
 def test_values_per_trial_have_to_be_one_for_each():
     strategy = EpsilonGreedy([0.1, 0.2])
-    strategy.check_trials(2)
+    strategy.bind(TensorDictModuleBase(), 2)
     for trials in (1, 3):
         with pytest.raises(ValueError, match=rf"has 2\b.* there are {trials} trials"):
-            strategy.check_trials(trials)
-    EpsilonGreedy(0.1).check_trials(7)
+            strategy.bind(TensorDictModuleBase(), trials)
+    EpsilonGreedy(0.1).bind(TensorDictModuleBase(), 7)
     with pytest.raises(ValueError, match=r"has 1\b.* there are 2 trials"):
-        Softmax([1.0]).check_trials(2)
+        Softmax([1.0]).bind(TensorDictModuleBase(), 2)
 
 
 # Values that are not allowed

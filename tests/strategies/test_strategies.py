@@ -12,7 +12,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from scipy import stats
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.data import Categorical, Composite, OneHot
 from torchrl.envs.libs.gym import GymEnv
@@ -323,7 +323,7 @@ def test_parameters_per_trial(name):
         except ValueError:
             continue
         accepted.append(key)
-        strategy.check_trials(3)
+        strategy.bind(TensorDictModuleBase(), 3)
         logits, trial = logits_of(30), torch.arange(30) % 3
         noise = torch.rand(30, generator=torch.Generator().manual_seed(3))
         data = strategy(frames(logits, trial=trial, noise=noise))
@@ -333,7 +333,7 @@ def test_parameters_per_trial(name):
             assert torch.equal(data["action"][rows], alone["action"])
             torch.testing.assert_close(data["action_log_prob"][rows], alone["action_log_prob"])
         with pytest.raises(ValueError, match="trials"):
-            strategy.check_trials(4)
+            strategy.bind(TensorDictModuleBase(), 4)
     assert accepted or name not in ("epsilon_greedy", "softmax")
 
 

@@ -16,12 +16,13 @@ from torchrl.collectors import BaseCollector
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
+from trl_explore.checks import check_integer
 from trl_explore.envs import LaneVectorEnv, lane_env
 from trl_explore.strategies import Strategy
 
 
 class EpisodeCollector(BaseCollector):
-    """A TorchRL collector that yields one complete episode of every active trial.
+    """A TorchRL collector that yields whole episodes of every active trial, as a rule one of each.
 
     Every frame is taken with the parameters that the trial had when the episode began. No frame
     is lost, none is stale, none comes from a stopped trial, none is padding. The data are flat
@@ -31,7 +32,7 @@ class EpisodeCollector(BaseCollector):
         trial              [frames]               int64, the row of the policy's parameters
         observation        [frames, n_features]   the policy's input
         action             [frames]               int64
-        action_log_prob    [frames]               nats, under μ
+        action_log_prob    [frames]               nats, under μ, where that exists exactly
         next.reward        [frames, 1]            float32
         next.done, next.terminated, next.truncated  [frames, 1]  bool
         next.step_count    [frames, 1]            int64, from 1
@@ -47,6 +48,10 @@ class EpisodeCollector(BaseCollector):
     Keyword Args:
         exploration_type: RANDOM or None explores; the others take the argmax.
         total_frames: iteration ends when this many frames have been delivered; −1: never.
+        episodes_per_update: how many episodes of every active trial one call collects.
+
+    Raises:
+        ValueError: if an argument is out of range.
 
     Example:
         >>> from tensordict.nn import TensorDictSequential
@@ -68,6 +73,7 @@ class EpisodeCollector(BaseCollector):
         *,
         exploration_type: ExplorationType | None = None,
         total_frames: int = -1,
+        episodes_per_update: int = 1,
     ) -> None:
         super().__init__()
         self.closed = True
@@ -76,7 +82,11 @@ class EpisodeCollector(BaseCollector):
         self.lanes: LaneVectorEnv = lane_env(env)
         self.exploration_type = exploration_type or ExplorationType.RANDOM
         self.total_frames = total_frames
-        self.strategy.check_trials(self.trials)
+        self.episodes_per_update = check_integer("episodes_per_update", episodes_per_update, 1)
+        lanes = self.lanes
+        self.strategy.bind(
+            policy[0], lanes.num_envs, seed=lanes.seed, first_trial=lanes.first_trial
+        )
         self.frames = 0
         self.episodes = np.zeros(self.lanes.num_envs, dtype=np.int64)
         self.closed = False
@@ -98,7 +108,7 @@ class EpisodeCollector(BaseCollector):
         return self.lanes.num_envs
 
     def collect(self, active: NDArray[np.bool_] | None = None) -> TensorDictBase:
-        """One whole episode of every active trial.
+        """The next ``episodes_per_update`` whole episodes of every active trial.
 
         Args:
             active: [trials] bool, the trials to collect; None takes all.
@@ -120,13 +130,13 @@ class EpisodeCollector(BaseCollector):
                 f"active must be a bool array [{self.trials}] with a true entry, got {active!r}"
             )
         data = self._collect(active)
-        self.episodes += active
+        self.episodes += active * self.episodes_per_update
         self.frames += len(data)
         return data
 
     @abstractmethod
     def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
-        """The episode ``self.episodes[k]`` of every active trial k."""
+        """The episodes from ``self.episodes[k]`` on of every active trial k."""
 
     def iterator(self) -> Iterator[TensorDictBase]:
         """Episodes in memory of their own, until ``total_frames`` is reached, or for ever."""

@@ -108,10 +108,10 @@ class FusedCollector(EpisodeCollector):
         policy: TensorDictSequential,
         *,
         exploration_type: ExplorationType | None = None,
-        total_frames: int = -1,
         threads: int = 1,
+        **options: Any,
     ) -> None:
-        super().__init__(env, policy, exploration_type=exploration_type, total_frames=total_frames)
+        super().__init__(env, policy, exploration_type=exploration_type, **options)
         self.kernel = compilable(env, policy)
         self._loop = compile_loop(self.kernel)
         self._weight = linear_weight(policy)
@@ -122,22 +122,25 @@ class FusedCollector(EpisodeCollector):
         ]
 
     def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
-        trials = np.flatnonzero(active)
+        trials = np.repeat(np.flatnonzero(active), self.episodes_per_update)
+        self.strategy.begin(active, self.episodes)
         context = (
             self.lanes.first_trial,
-            key(self.lanes.seed, Stream.ENVIRONMENT),
+            key(self.lanes.seed, self.lanes.stream),
             key(self.lanes.seed, Stream.ACTION),
             self._weight.detach().numpy(),
             self._mixture(),
             self.exploration_type == ExplorationType.RANDOM,
         )
+        numbers = np.arange(len(trials)) % self.episodes_per_update
+        episodes = self.episodes[trials] + numbers
         workers = self._workers if len(trials) >= MIN_TRIALS * self.threads else self._workers[:1]
         if len(workers) == 1:
-            return workers[0][0].frames(self._run(workers[0], trials, context))
+            return workers[0][0].frames(self._run(workers[0], trials, episodes, context))
         threads = pool()
-        parts = np.array_split(trials, len(workers))
+        parts = np.array_split(np.arange(len(trials)), len(workers))
         calls = [
-            threads.submit(self._run, worker, part, context)
+            threads.submit(self._run, worker, trials[part], episodes[part], context)
             for worker, part in zip(workers, parts, strict=True)
         ]
         sizes = [call.result() for call in calls]
@@ -157,11 +160,11 @@ class FusedCollector(EpisodeCollector):
         self,
         worker: tuple[Columns, tuple[NDArray[Any], ...]],
         trials: NDArray[np.int64],
+        episodes: NDArray[np.int64],
         context: tuple[Any, ...],
     ) -> int:
-        """Fill a worker's columns with the episodes of ``trials``; returns the number of frames."""
+        """Fill a worker's columns with episodes of ``trials``; returns the number of frames."""
         columns, memory = worker
-        episodes = self.episodes[trials]
         columns.reserve(len(trials) * 64)
         finished = frames = 0
         while True:

@@ -31,11 +31,20 @@ class TorchRLCollector(EpisodeCollector):
     environment, and its rows are dropped. Arguments and data are those of ``EpisodeCollector``.
     """
 
-    @torch.no_grad()
     def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
+        parts = [self._episode(active, self.episodes + j) for j in range(self.episodes_per_update)]
+        if len(parts) == 1:
+            return parts[0]
+        data = cast(TensorDictBase, torch.cat(parts))  # pyright: ignore
+        return data[data.get("trial").argsort(stable=True)]
+
+    @torch.no_grad()
+    def _episode(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> TensorDictBase:
+        """The episode ``episodes[k]`` of every active trial k."""
         lanes = self.lanes
-        lanes.episodes[:] = self.episodes
-        noise = _Noise(self, np.flatnonzero(active))
+        lanes.episodes[:] = episodes
+        self.strategy.begin(active, episodes)
+        noise = _Noise(self, np.flatnonzero(active), episodes)
         trial = torch.arange(self.trials)
         frames: list[TensorDictBase] = []
         running: list[NDArray[np.bool_]] = []
@@ -93,23 +102,25 @@ class TorchRLCollector(EpisodeCollector):
 class _Noise:
     """The action noise u of the lanes, step by step, from the trials' own streams."""
 
-    def __init__(self, collector: EpisodeCollector, lanes: NDArray[np.int64]) -> None:
+    def __init__(
+        self, collector: EpisodeCollector, lanes: NDArray[np.int64], episodes: NDArray[np.int64]
+    ) -> None:
         env = collector.lanes
         self.generators = {
-            int(k): generator(
-                env.seed, Stream.ACTION, env.first_trial + int(k), int(collector.episodes[k])
-            )
+            int(k): generator(env.seed, Stream.ACTION, env.first_trial + int(k), int(episodes[k]))
             for k in lanes
         }
-        self.block = torch.zeros(NOISE_STEPS, env.num_envs, dtype=torch.float64)
+        size = collector.strategy.noise_size
+        shape = (env.num_envs,) if size == 1 else (env.num_envs, size)
+        self.block = torch.zeros(NOISE_STEPS, *shape, dtype=torch.float64)
         self.t = 0
 
     def step(self, running: NDArray[np.bool_]) -> torch.Tensor:
-        """The noise of the next step [trials]."""
+        """The noise of the next step [trials], or [trials, noise_size]."""
         row = self.t % NOISE_STEPS
         if row == 0:
             block = self.block.numpy()
             for lane in np.flatnonzero(running).tolist():
-                block[:, lane] = self.generators[lane].random(NOISE_STEPS)
+                block[:, lane] = self.generators[lane].random(block[:, lane].shape)
         self.t += 1
         return self.block[row]

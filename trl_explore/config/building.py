@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,8 +24,11 @@ INTEGERS = {
     "trials": (1, 10**7),
     "first_trial": (0, LARGEST - 10**7),
     "threads": (1, MAX_THREADS),
+    "episodes_per_update": (1, 10**6),
 }
 """Keys of the top level that hold an integer, and its bounds."""
+STOPPING = ("max_iterations", "score_threshold", "score_window")
+"""What an environment's file says of the stopping rule; the trainer's business."""
 
 
 def build_trainer(config: DictConfig) -> Trainer:
@@ -53,7 +56,7 @@ def build_trainer(config: DictConfig) -> Trainer:
     )
     streams = {"seed": config.seed, "first_trial": config.first_trial}
     strategy = _instantiate(config, "strategy")()
-    env = _instantiate(config, "env")(trials=config.trials, **streams)
+    env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
     policy = _instantiate(config, "policy")(env=env, **streams)
     optimizer = _instantiate(config, "optimizer")(policy.parameters())
     loss = _instantiate(config, "loss")(SoftmaxActor(policy), trials=config.trials)
@@ -61,12 +64,18 @@ def build_trainer(config: DictConfig) -> Trainer:
     return _build("loss", lambda: Trainer(collector, loss, optimizer, trials))
 
 
-def _instantiate(config: DictConfig, group: str) -> Callable[..., Any]:
-    """The constructor that a group's configuration stands for."""
+def _instantiate(
+    config: DictConfig, group: str, *, without: Collection[str] = ()
+) -> Callable[..., Any]:
+    """The constructor that a group's configuration stands for, some of its keys left out."""
 
     def construct(*args: Any, **kwargs: Any) -> Any:
         def call() -> Any:
-            built = instantiate(config[group], _convert_="all", _partial_=True)
+            node = OmegaConf.masked_copy(
+                config[group], [k for k in config[group] if k not in without]
+            )
+            node._set_parent(config)
+            built = instantiate(node, _convert_="all", _partial_=True)
             return built(*args, **kwargs)
 
         return _build(group, call)

@@ -44,6 +44,8 @@ class Kernel:
         state_size: length of ``state``, a float64 array.
         n_features: length of an observation.
         n_actions: number of actions.
+        mask: ``mask(parameters, state, mask)`` fills a bool array [n_actions], False where an
+            action is not allowed; None: all always are.
     """
 
     reset: Function
@@ -53,9 +55,16 @@ class Kernel:
     state_size: int
     n_features: int
     n_actions: int
+    mask: Function | None = None
+
+    @property
+    def functions(self) -> tuple[Function, ...]:
+        """The compiled functions."""
+        own = (self.reset, self.step, self.observe)
+        return own if self.mask is None else (*own, self.mask)
 
     def __post_init__(self) -> None:
-        for function in (self.reset, self.step, self.observe):
+        for function in self.functions:
             if not is_jitted(function):
                 raise ValueError(f"{function} is not compiled; decorate it with kernel_function")
             if function.py_func.__closure__:
@@ -68,7 +77,7 @@ class Kernel:
 
         It decides which compiled code on disk may be used again.
         """
-        functions = (self.reset, self.step, self.observe)
+        functions = self.functions
         files: set[str] = set()
         for function in functions:
             _add_sources(function, files, set())

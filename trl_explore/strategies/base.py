@@ -5,7 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
@@ -31,6 +33,14 @@ class Strategy(TensorDictModuleBase):
 
     Nothing here knows of trials, CartPole or REINFORCE: behind any TorchRL module that writes
     logits or action values, the module serves any TorchRL project (``logits_key="action_value"``).
+    A collector of this package tells it more: ``bind`` once, ``begin`` before every episode,
+    ``step`` after every update.
+
+    Attributes:
+        exact: whether "action_log_prob" is the exact log-probability of the action under μ; a
+            strategy for which that does not exist writes none.
+        noise_size: how many uniform numbers it uses for each frame; where more than one, "noise"
+            is [*batch, noise_size].
 
     Args:
         spec: the action spec (``Categorical`` or ``OneHot``, also in a ``Composite``); None means
@@ -43,6 +53,9 @@ class Strategy(TensorDictModuleBase):
     Raises:
         ValueError: if the spec is not of a kind served, or a mask forbids every action.
     """
+
+    exact = True
+    noise_size = 1
 
     def __init__(
         self,
@@ -64,7 +77,8 @@ class Strategy(TensorDictModuleBase):
         self.logits_key, self.action_key = logits_key, action_key
         self.action_mask_key = action_mask_key
         self.in_keys = [logits_key]  # pyright: ignore[reportAttributeAccessIssue]
-        self.out_keys = [action_key, "action_log_prob"]  # pyright: ignore[reportAttributeAccessIssue]
+        written = [action_key, "action_log_prob"] if self.exact else [action_key]
+        self.out_keys = written  # pyright: ignore[reportAttributeAccessIssue]
         self.iteration = 0
         self._generator = torch.Generator().manual_seed(seed)
 
@@ -78,11 +92,35 @@ class Strategy(TensorDictModuleBase):
         """
         raise NotImplementedError(f"{type(self).__name__} does not state its probs")
 
-    def check_trials(self, trials: int) -> None:
-        """Raise ValueError if a parameter has one value per trial, but not for all."""
+    def bind(
+        self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
+    ) -> None:
+        """Learn whom the strategy serves: called once, by the collector.
 
-    def step(self) -> None:
-        """Advance the schedules by one iteration (once per update, whatever the batch)."""
+        Args:
+            policy: the target policy.
+            trials: the number of trials, rows of the policy's parameters.
+            seed: seed of the job.
+            first_trial: trial index of row 0.
+
+        Raises:
+            ValueError: if a parameter has one value per trial, but not for all.
+        """
+
+    def begin(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
+        """Prepare for the next episode of the active trials.
+
+        Args:
+            active: [trials] bool.
+            episodes: [trials], the number of every trial's next episode, from 0.
+        """
+
+    def step(self, data: TensorDictBase | None = None) -> None:
+        """Advance by one iteration: once per update, whatever the batch.
+
+        Args:
+            data: the frames of the iteration, for a strategy that learns from them.
+        """
         self.iteration += 1
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -94,22 +132,40 @@ class Strategy(TensorDictModuleBase):
                 raise ValueError("the action mask forbids every action of a state")
             logits = logits.masked_fill(~mask, -torch.inf)
         if exploration_type() in (ExplorationType.RANDOM, None):
-            probs = self.probs(logits, tensordict.get("trial", None))
-            action = inverse_cdf(probs, self._noise(tensordict, logits))
-            log_prob = probs.gather(-1, action.unsqueeze(-1)).squeeze(-1).log()
+            action, log_prob = self.explore(tensordict, logits, self._noise(tensordict, logits))
         else:
             action = logits.argmax(-1)
             log_prob = torch.zeros_like(logits[..., 0])
         tensordict.set(self.action_key, self._encode(action, logits.shape[-1]))
-        tensordict.set("action_log_prob", log_prob)
+        if self.exact:
+            tensordict.set("action_log_prob", log_prob)
         return tensordict
 
+    def explore(
+        self, tensordict: TensorDictBase, logits: Tensor, noise: Tensor
+    ) -> tuple[Tensor, Tensor | None]:
+        """Draw from μ(·|s).
+
+        Args:
+            tensordict: everything known of the frames.
+            logits: [*batch, n_actions], masked.
+            noise: [*batch], or [*batch, noise_size].
+
+        Returns:
+            The action [*batch] and its log-probability [*batch]; None if it has no exact one.
+        """
+        probs = self.probs(logits, tensordict.get("trial", None))
+        action = inverse_cdf(probs, noise)
+        return action, probs.gather(-1, action.unsqueeze(-1)).squeeze(-1).log()
+
     def _noise(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
+        shape = logits.shape[:-1]
+        if self.noise_size > 1:
+            shape = (*shape, self.noise_size)
         noise = tensordict.get("noise", None)
         if noise is None:
-            shape = logits.shape[:-1]
             noise = torch.rand(shape, generator=self._generator, dtype=torch.float64)
-        return noise.to(logits.device).reshape(logits.shape[:-1])
+        return noise.to(logits.device).reshape(shape)
 
     def _encode(self, action: Tensor, n_actions: int) -> Tensor:
         if self.spec is None:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from trl_explore.schedules import Value
@@ -41,8 +42,11 @@ class MixtureStrategy(Strategy):
     def mixture(self) -> Mixture:
         """Weights and temperature in the current iteration."""
 
-    def check_trials(self, trials: int) -> None:
-        """Raise ValueError if a parameter has one value per trial, but not for all."""
+    def bind(
+        self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
+    ) -> None:
+        """Learn whom the strategy serves."""
+        super().bind(policy, trials, seed=seed, first_trial=first_trial)
         for value in self.mixture():
             if isinstance(value, np.ndarray) and value.shape != (trials,):
                 raise ValueError(
