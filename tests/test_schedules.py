@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from torch.nn import Parameter
 from torch.optim import SGD
 from torch.optim.lr_scheduler import CosineAnnealingLR

@@ -141,6 +141,15 @@ class Strategy(TensorDictModuleBase):
             tensordict.set("action_log_prob", log_prob)
         return tensordict
 
+    def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
+        """What ``probs`` is given to act on: here the logits of the target policy themselves.
+
+        Args:
+            tensordict: everything known of the frames.
+            logits: [*batch, n_actions], masked: −∞ where an action is forbidden, and stays so.
+        """
+        return logits
+
     def explore(
         self, tensordict: TensorDictBase, logits: Tensor, noise: Tensor
     ) -> tuple[Tensor, Tensor | None]:
@@ -154,6 +163,7 @@ class Strategy(TensorDictModuleBase):
         Returns:
             The action [*batch] and its log-probability [*batch]; None if it has no exact one.
         """
+        logits = self.preferences(tensordict, logits)
         probs = self.probs(logits, tensordict.get("trial", None))
         action = inverse_cdf(probs, noise)
         return action, probs.gather(-1, action.unsqueeze(-1)).squeeze(-1).log()
