@@ -9,7 +9,9 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
-GROUPS = ("env", "policy", "strategy", "loss", "optimizer", "collector")
+GROUPS = (
+    "env", "policy", "strategy", "loss", "correction", "baseline", "optimizer", "collector",
+)  # fmt: skip
 SCHEDULE = "schedule@"
 """How a choice begins that lets a parameter follow a file of ``conf/schedule``:
 ``+schedule@strategy.temperature=linear``."""

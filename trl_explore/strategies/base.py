@@ -39,6 +39,7 @@ class Strategy(TensorDictModuleBase):
     Attributes:
         exact: whether "action_log_prob" is the exact log-probability of the action under μ; a
             strategy for which that does not exist writes none.
+        differentiable: whether ``probs`` is differentiable in the logits, in every iteration.
         noise_size: how many uniform numbers it uses for each frame; where more than one, "noise"
             is [*batch, noise_size].
 
@@ -55,6 +56,7 @@ class Strategy(TensorDictModuleBase):
     """
 
     exact = True
+    differentiable = False
     noise_size = 1
 
     def __init__(
