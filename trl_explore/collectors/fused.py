@@ -130,11 +130,13 @@ class FusedCollector(EpisodeCollector):
         trials = np.repeat(np.flatnonzero(active), self.episodes_per_update)
         self.strategy.begin(active, self.episodes)
         explore = self.exploration_type == ExplorationType.RANDOM
+        strategy = cast(MixtureStrategy, self.strategy)
+        weight = strategy.behaviour_parameters([self._weight])[0] if explore else self._weight
         context = (
             self.lanes.first_trial,
             key(self.lanes.seed, self.lanes.stream),
             key(self.lanes.seed, Stream.ACTION),
-            self._behaviour_weight(explore).numpy(),
+            weight.detach().numpy(),
             self._mixture(),
             explore,
         )
@@ -182,12 +184,6 @@ class FusedCollector(EpisodeCollector):
             if finished == len(trials):
                 return frames
             columns.reserve(2 * columns.capacity, frames)
-
-    def _behaviour_weight(self, explore: bool) -> torch.Tensor:
-        """The weights that act: the strategy's, or without exploration the target policy's."""
-        weight = self._weight.detach()
-        strategy = self.strategy
-        return strategy.behaviour_weight(weight) if explore else weight  # pyright: ignore
 
     def _mixture(self) -> NDArray[np.float64]:
         """Weights and temperature [4, 1], or [4, trials] where they differ between trials."""
@@ -259,9 +255,9 @@ def check_strategy(strategy: Any) -> None:
         raise NotCompilableError(f"{name} changes probs or forward")
     if kind.explore is not Strategy.explore:
         raise NotCompilableError(f"{name} draws its actions in a way of its own")
-    unstated = kind.behaviour_weight is MixtureStrategy.behaviour_weight
+    unstated = kind.behaviour_parameters is MixtureStrategy.behaviour_parameters
     if kind.preferences is not Strategy.preferences and unstated:
-        raise NotCompilableError(f"{name} changes the logits by more than the weights")
+        raise NotCompilableError(f"{name} changes the logits, and not by the parameters")
     keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
     if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
         raise NotCompilableError(f"{name} has a one-hot action or renamed entries")
