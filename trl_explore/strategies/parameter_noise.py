@@ -158,7 +158,7 @@ class ParameterNoise(MixtureStrategy):
 
     def _logits(self, parameters: Parameters, tensordict: TensorDictBase) -> Tensor:
         policy = self._policy[0]
-        given = tensordict.select(*policy.in_keys)
+        given = tensordict.select(*policy.in_keys, strict=False)
         with torch.no_grad():
             return functional_call(policy, parameters, (given,)).get(self.logits_key)
 
