@@ -98,9 +98,8 @@ class Trials:
         # In its last iteration a trial counts with its episode, from then on with its final score.
         episode_score = np.add.reduce(self._episode_score) / len(self)
         full = self._n_episodes >= self.score_window
-        if passed is None:
-            passed = (mean > self.score_threshold) & full
-        passed = np.logical_and(passed, ~diverged)
+        own = (mean > self.score_threshold) & full
+        passed = np.logical_and(own if passed is None else passed, ~diverged)
         if passed.any() or diverged.any() or self.iteration >= self.max_iterations:
             self._stop(trial, passed, diverged)
         score = np.add.reduce(self.score) / len(self)
