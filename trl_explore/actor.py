@@ -18,7 +18,7 @@ from torch.distributions import Distribution
 from torchrl.modules import ProbabilisticActor
 
 from trl_explore.ops import categorical_log_prob, lane_sum, linear_softmax_score
-from trl_explore.policy import LinearPolicy
+from trl_explore.policies import LinearPolicy
 
 
 class SoftmaxCategorical(TorchCategorical):

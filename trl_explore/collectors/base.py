@@ -57,7 +57,7 @@ class EpisodeCollector(BaseCollector):
         >>> from tensordict.nn import TensorDictSequential
         >>> from trl_explore.collectors import TorchRLCollector
         >>> from trl_explore.envs import make_env
-        >>> from trl_explore.policy import LinearPolicy
+        >>> from trl_explore.policies import LinearPolicy
         >>> from trl_explore.strategies import EpsilonGreedy
         >>> env = make_env("CartPole-v1", trials=3)
         >>> policy = TensorDictSequential(LinearPolicy(env), EpsilonGreedy(0.3))

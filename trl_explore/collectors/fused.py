@@ -28,7 +28,7 @@ from trl_explore.collectors.base import EpisodeCollector
 from trl_explore.collectors.loop import compile_loop, scratch
 from trl_explore.envs import lane_env
 from trl_explore.kernels import Kernel, kernel_of
-from trl_explore.policy import LinearPolicy
+from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import MixtureStrategy, Strategy
 from trl_explore.streams import Stream, key
 from trl_explore.threads import pool
