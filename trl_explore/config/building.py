@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from trl_explore.checks import LARGEST, MAX_THREADS, check_integer
 from trl_explore.config.base import ConfigError
 from trl_explore.config.checking import describe
+from trl_explore.config.kinds import check_actions
 
 if TYPE_CHECKING:
     from trl_explore.trainer import Trainer
@@ -39,7 +40,7 @@ def build_trainer(config: DictConfig) -> Trainer:
     """
     from tensordict.nn import TensorDictSequential
 
-    from trl_explore.actor import SoftmaxActor
+    from trl_explore.actor import actor_of
     from trl_explore.trainer import Trainer
     from trl_explore.trials import Trials
 
@@ -57,9 +58,10 @@ def build_trainer(config: DictConfig) -> Trainer:
     streams = {"seed": config.seed, "first_trial": config.first_trial}
     strategy = _instantiate(config, "strategy")()
     env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
+    check_actions(config, env.action_spec.domain)
     policy = _instantiate(config, "policy")(env=env, **streams)
     optimizer = _instantiate(config, "optimizer")(policy.parameters())
-    loss = _instantiate(config, "loss")(SoftmaxActor(policy), trials=config.trials)
+    loss = _instantiate(config, "loss")(actor_of(policy), trials=config.trials)
     collector = _instantiate(config, "collector")(env, TensorDictSequential(policy, strategy))
     return _build("loss", lambda: Trainer(collector, loss, optimizer, trials))
 
