@@ -15,7 +15,7 @@ from torch.optim import Adam
 from trl_explore.episodes import outcomes
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.optim import LaneAdam, LaneOptimizer, torch_adam
-from trl_explore.policy import glorot_uniform
+from trl_explore.policies import glorot_uniform
 from trl_explore.strategies import Argmax, DecayingEpsilonGreedy, EpsilonGreedy, Softmax
 
 FILES = sorted((Path(__file__).parent.parent / "conf" / "strategy").glob("*.yaml"))
