@@ -10,6 +10,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trl_explore.signals import Interrupted, Interrupts, leave_on_signals, raise_on_signals
+
+if __name__ == "__main__":
+    leave_on_signals()
+
 import hydra
 from hydra.errors import HydraException
 from omegaconf import DictConfig
@@ -22,7 +27,6 @@ from trl_explore.checkpoint import Checkpoint, Store
 from trl_explore.config import CONF, ConfigError
 from trl_explore.locks import Lock
 from trl_explore.resume import find
-from trl_explore.signals import Interrupted, Interrupts, raise_on_signals
 
 if TYPE_CHECKING:
     from trl_explore.trials import Trials
@@ -63,12 +67,7 @@ def train(config: DictConfig, folder: Path) -> None:
         return
 
     lock = Lock(folder)
-
-    def leave(error: Interrupted) -> None:
-        lock.release()
-        print(f"{error}; the same command goes on", file=sys.stderr)
-
-    with lock, Interrupts(leave) as interrupts:
+    with lock, Interrupts(lock.release) as interrupts:
         if results.is_finished(folder) and not config.restart:  # by now
             leave_finished(folder, values)
             return

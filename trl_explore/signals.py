@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
+from typing import NoReturn
 
 PATIENCE = 0.8
 """Seconds that an iteration has to end by itself before it is broken off."""
@@ -43,6 +44,22 @@ def raise_on_signals() -> None:
         signal.signal(signum, handle)
 
 
+def leave_on_signals() -> None:
+    """From here on, they end the process at once: while it is only importing its modules."""
+
+    def handle(signum: int, frame: FrameType | None) -> None:
+        leave(Interrupted(signum))
+
+    for signum in _served():
+        signal.signal(signum, handle)
+
+
+def leave(error: Interrupted) -> NoReturn:
+    """End the process, with a line that says why and the conventional status."""
+    print(f"{error}{error.where}; the same command goes on", file=sys.stderr, flush=True)
+    os._exit(error.status)
+
+
 def _served() -> list[signal.Signals]:
     """The signals that end a program; a hang-up only if nobody has said that it does not."""
     if threading.current_thread() is not threading.main_thread():
@@ -54,7 +71,7 @@ def _served() -> list[signal.Signals]:
 class Interrupts:
     """What a signal does within a job; before and after, the handlers are as they were.
 
-    * At first it ends the process at once, by ``leave``: imports and compilers do not take an
+    * At first it ends the process at once, after ``tidy``: imports and compilers do not take an
       exception at any line.
     * Within ``deferred`` it is noted, and raised by ``check`` at the next boundary; if none comes
       in time, it is raised wherever the program is. What is broken off then is thrown away.
@@ -62,11 +79,11 @@ class Interrupts:
     * The second one ends the process at once, whatever it does.
 
     Args:
-        leave: called before the process is ended at the beginning; is given the signal.
+        tidy: called before the process is ended at the beginning.
     """
 
-    def __init__(self, leave: Callable[[Interrupted], None]) -> None:
-        self.leave = leave
+    def __init__(self, tidy: Callable[[], None]) -> None:
+        self.tidy = tidy
         self.pending: Interrupted | None = None
         self._deferred = False
         self._held = 0
@@ -98,10 +115,8 @@ class Interrupts:
             return
         self.pending, self._since = Interrupted(signum), time.monotonic()
         if not self._deferred:
-            self.leave(self.pending)
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(self.pending.status)
+            self.tidy()
+            leave(self.pending)
         # Again and again: an exception within a destructor or a callback gets lost.
         signal.setitimer(signal.ITIMER_REAL, PATIENCE, TWICE)
 
