@@ -19,6 +19,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -277,6 +278,8 @@ class Store:
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file that appears at once and whole, also after a loss of power.
 
+    After a loss of power it may be the one that was there before: its folder is not synced.
+
     Raises:
         OSError: if it cannot be written; a file that was there before is as it was.
     """
@@ -288,15 +291,6 @@ def write_whole(path: Path, data: bytes) -> None:
             os.fsync(file.fileno())
         temporary.replace(path)
     except BaseException:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
         raise
-    sync_folder(path.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in a folder last."""
-    place = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(place)
-    finally:
-        os.close(place)
