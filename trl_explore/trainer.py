@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -78,15 +78,40 @@ class Trainer:
         self.stop_on_evaluation = stop_on_evaluation
         self.diagnostics = diagnostics
         self.on_iteration = on_iteration
+        self.seconds = 0.0
+        """Wall time of the training so far; that before an interruption counts [s]."""
+        self.parts: dict[str, Any] = {
+            "collector": collector,
+            "loss": loss,
+            "optimizer": optimizer,
+            "trials": trials,
+        }
+        """Everything with a state, by name: whatever joins the loop is entered here."""
+        if evaluator is not None:
+            self.parts["evaluator"] = evaluator
+        if diagnostics is not None:
+            self.parts["diagnostics"] = diagnostics
 
     def run(self) -> Trials:
         """Train until every trial has stopped."""
-        started = time.perf_counter()
+        started = time.perf_counter() - self.seconds
         while self.trials.active.any():
             self._iterate(started)
+            self.seconds = time.perf_counter() - started
             if self.on_iteration is not None:
                 self.on_iteration(self.trials)
         return self.trials
+
+    def state_dict(self) -> dict[str, Any]:
+        """The state of every part between two iterations; random streams have none."""
+        parts = {name: part.state_dict() for name, part in self.parts.items()}
+        return {"seconds": self.seconds, "parts": parts}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where ``state_dict`` was taken; the record's history must have been loaded."""
+        for name, part in self.parts.items():
+            part.load_state_dict(state["parts"][name])
+        self.seconds = float(state["seconds"])
 
     def _iterate(self, started: float) -> None:
         active = self.trials.active

@@ -12,7 +12,7 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from trl_explore.checks import LARGEST, MAX_THREADS, check_integer
+from trl_explore.checks import LARGEST, MAX_THREADS, check_integer, check_number
 from trl_explore.config.base import ConfigError
 from trl_explore.config.checking import describe
 from trl_explore.config.kinds import check_actions
@@ -54,6 +54,7 @@ def build_trainer(config: DictConfig) -> Trainer:
 
     for key, (low, high) in INTEGERS.items():
         _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))
+    _build(None, lambda: check_number("checkpoint_seconds", config.checkpoint_seconds, 0))
     trials = _build(
         None,
         lambda: Trials(
