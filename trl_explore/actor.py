@@ -15,10 +15,15 @@ from tensordict.nn import (
 from torch import Tensor
 from torch.distributions import Categorical as TorchCategorical
 from torch.distributions import Distribution
-from torchrl.modules import ProbabilisticActor
+from torchrl.modules import IndependentNormal, ProbabilisticActor
 
-from trl_explore.ops import categorical_log_prob, lane_sum, linear_softmax_score
-from trl_explore.policy import LinearPolicy
+from trl_explore.ops import (
+    categorical_log_prob,
+    gaussian_log_prob,
+    lane_sum,
+    linear_softmax_score,
+)
+from trl_explore.policies import LinearPolicy
 
 
 class SoftmaxCategorical(TorchCategorical):
@@ -126,6 +131,38 @@ def frame_distribution(
     return SoftmaxCategorical(actor[0](tensordict.copy()).get("logits"), mask)
 
 
+class GaussianActor(ProbabilisticActor):
+    """The target policy π = N(loc, diag(scale²)) over a module that writes "loc" and "scale".
+
+    As ``SoftmaxActor``, it shares its parameters with ``policy`` and serves the loss.
+
+    Args:
+        policy: a module that writes "loc" and "scale" [*batch, n_dims].
+    """
+
+    def __init__(self, policy: TensorDictModule) -> None:
+        super().__init__(policy, in_keys=["loc", "scale"], distribution_class=IndependentNormal)
+
+
+def actor_of(policy: TensorDictModule) -> ProbabilisticActor:
+    """The target policy as a distribution, by what the policy writes.
+
+    "logits" are those of a softmax, "loc" and "scale" those of a Gaussian.
+
+    Raises:
+        ValueError: if it writes neither.
+    """
+    written = set(policy.out_keys)
+    if "logits" in written:
+        return SoftmaxActor(policy)
+    if {"loc", "scale"} <= written:
+        return GaussianActor(policy)
+    raise ValueError(
+        f"a policy must write logits, or loc and scale; {type(policy).__name__} writes "
+        f"{', '.join(map(str, policy.out_keys))}"
+    )
+
+
 @singledispatch
 def score_sum(
     actor: ProbabilisticTensorDictSequential,
@@ -169,4 +206,18 @@ def _(
         observation = tensordict.get("observation")
         return linear_softmax_score(observation, policy.weight, action, advantage, trial)
     log_prob = frame_log_prob(actor, tensordict, action)
+    return lane_sum(log_prob * advantage, trial, trials)
+
+
+@score_sum.register
+def _(
+    actor: GaussianActor,
+    tensordict: TensorDictBase,
+    action: Tensor,
+    advantage: Tensor,
+    trial: Tensor,
+    trials: int,
+) -> Tensor:
+    written = actor[0](tensordict.copy())
+    log_prob = gaussian_log_prob(action, written.get("loc"), written.get("scale"))
     return lane_sum(log_prob * advantage, trial, trials)

@@ -29,13 +29,7 @@ def make_gym(id: str, max_steps: int | None, kwargs: Mapping[str, Any]) -> gym.E
     if max_steps is not None:
         check_integer("max_steps", max_steps, 1, 10**9)
     env = _construct(id, max_steps, kwargs)
-    if not isinstance(env.action_space, spaces.Discrete):
-        raise ValueError(
-            f"environment {id!r} has action space {env.action_space}; "
-            "the policies here serve Discrete action spaces only"
-        )
-    if env.action_space.start != 0:
-        raise ValueError(f"environment {id!r} numbers its actions from {env.action_space.start}")
+    _check_actions(id, env.action_space)
     space = env.observation_space
     if isinstance(space, spaces.Discrete) or (
         isinstance(space, spaces.Box) and len(space.shape) != 1
@@ -48,6 +42,21 @@ def make_gym(id: str, max_steps: int | None, kwargs: Mapping[str, Any]) -> gym.E
     if env.observation_space.dtype != np.float32:
         env = gym.wrappers.DtypeObservation(env, np.float32)
     return env
+
+
+def _check_actions(id: str, space: spaces.Space[Any]) -> None:
+    if isinstance(space, spaces.Discrete):
+        if space.start != 0:
+            raise ValueError(f"environment {id!r} numbers its actions from {space.start}")
+    elif not (
+        isinstance(space, spaces.Box)
+        and len(space.shape) == 1
+        and np.issubdtype(space.dtype, np.floating)
+    ):
+        raise ValueError(
+            f"environment {id!r} has action space {space}; "
+            "Discrete, or a Box with one dimension of floats, is needed"
+        )
 
 
 def _construct(id: str, max_steps: int | None, kwargs: Mapping[str, Any]) -> gym.Env:
@@ -164,6 +173,9 @@ class LaneVectorEnv(VectorEnv):
         NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
     ]:
         """Step the unfinished lanes; a finished one repeats its last observation with reward 0."""
+        space = self.single_action_space
+        if isinstance(space, spaces.Box):
+            actions = np.clip(actions, space.low, space.high)
         rewards = np.zeros(self.num_envs)
         for lane in np.flatnonzero(self._running).tolist():
             observation, rewards[lane], terminated, truncated, _ = self.envs[lane].step(

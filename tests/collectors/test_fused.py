@@ -16,7 +16,7 @@ from trl_explore.envs import make_env
 from trl_explore.kernels import Kernel, kernel_of, register_kernel
 from trl_explore.kernels.base import kernel_function
 from trl_explore.kernels.philox import random
-from trl_explore.policy import LinearPolicy
+from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import Softmax, Strategy
 
 

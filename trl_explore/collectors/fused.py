@@ -28,8 +28,8 @@ from trl_explore.collectors.base import EpisodeCollector
 from trl_explore.collectors.loop import compile_loop, scratch
 from trl_explore.envs import lane_env
 from trl_explore.kernels import Kernel, kernel_of
-from trl_explore.policy import LinearPolicy
-from trl_explore.strategies import MixtureStrategy, Strategy
+from trl_explore.policies import LinearPolicy
+from trl_explore.strategies import Behaviour, MixtureStrategy, Strategy
 from trl_explore.streams import Stream, key
 from trl_explore.threads import pool
 
@@ -120,6 +120,9 @@ class FusedCollector(EpisodeCollector):
                 "and it runs several at once"
             )
         self._weight = linear_weight(policy)
+        if self.episodes_per_update > 1 and type(self.strategy).begin is not Behaviour.begin:
+            name = type(self.strategy).__name__
+            raise NotCompilableError(f"{name} prepares for every episode, and there are several")
         self.threads = check_integer("threads", threads, 1)
         steps = self.lanes.max_steps
         self._workers = [

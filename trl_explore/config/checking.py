@@ -41,7 +41,7 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
             raise ConfigError(f"unknown key {name!r}; known: {', '.join(sorted(known))}")
     for name in sorted(known - {str(key) for key in config}):
         raise ConfigError(f"the key {name!r} has been removed, but is needed")
-    for name in ("episodes", "restart"):
+    for name in ("episodes", "restart", "diagnostics"):
         if not isinstance(config[name], bool):
             raise ConfigError(f"{name} must be true or false, got {config[name]!r}")
     for group in GROUPS:
