@@ -4,16 +4,30 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
-from torchrl.objectives.common import LossModule
 
 from trl_explore.collectors import EpisodeCollector
 from trl_explore.optim import TrialOptimizer
 from trl_explore.trials import Trials
+
+
+class TrialLoss(Protocol):
+    """What the trainer needs of a loss."""
+
+    reduction: str
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The entries "loss_actor", "trial_loss" [trials], and perhaps "loss_value"."""
+        ...
+
+    def step(self, tensordict: TensorDictBase) -> None:
+        """Learn from the data of an iteration, after its update."""
+        ...
 
 
 class Trainer:
@@ -35,7 +49,7 @@ class Trainer:
     def __init__(
         self,
         collector: EpisodeCollector,
-        loss: LossModule,
+        loss: TrialLoss,
         optimizer: TrialOptimizer,
         trials: Trials,
         *,
@@ -71,8 +85,11 @@ class Trainer:
         self.optimizer.zero_grad()
         losses = self.loss(data)
         loss = losses.get("loss_actor")
-        (loss if loss.ndim == 0 else loss.sum()).backward()
+        loss = loss if loss.ndim == 0 else loss.sum()
+        value_loss = losses.get("loss_value", None)
+        (loss if value_loss is None else loss + value_loss.sum()).backward()
         self.optimizer.step(torch.from_numpy(active))
+        self.loss.step(data)
         return losses.get("trial_loss")
 
     def _diverged(self, trial_loss: torch.Tensor, active: NDArray[np.bool_]) -> NDArray[np.bool_]:

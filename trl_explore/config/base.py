@@ -9,7 +9,9 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
-GROUPS = ("env", "policy", "strategy", "loss", "optimizer", "collector")
+GROUPS = (
+    "env", "policy", "strategy", "loss", "correction", "baseline", "optimizer", "collector",
+)  # fmt: skip
 INERT = ("output_dir", "restart", "threads", "episodes", "collector.threads")
 """Keys that change no result: they are not part of a job's name or identity."""
 

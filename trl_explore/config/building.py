@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,9 @@ from trl_explore.config.checking import describe
 from trl_explore.config.kinds import check_actions
 
 if TYPE_CHECKING:
+    from torch import nn
+
+    from trl_explore.baselines import Baseline
     from trl_explore.trainer import Trainer
 
 INTEGERS = {
@@ -60,10 +63,26 @@ def build_trainer(config: DictConfig) -> Trainer:
     env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
     check_actions(config, env.action_spec.domain)
     policy = _instantiate(config, "policy")(env=env, **streams)
-    optimizer = _instantiate(config, "optimizer")(policy.parameters())
-    loss = _instantiate(config, "loss")(actor_of(policy), trials=config.trials)
+    baseline = _instantiate(config, "baseline")()
+    baseline.bind(env)
+    optimizer = _instantiate(config, "optimizer")(_parameters(policy, baseline))
+    loss = _instantiate(config, "loss")(
+        actor_of(policy),
+        correction=_instantiate(config, "correction")(),
+        baseline=baseline,
+        strategy=strategy,
+        trials=config.trials,
+    )
     collector = _instantiate(config, "collector")(env, TensorDictSequential(policy, strategy))
     return _build("loss", lambda: Trainer(collector, loss, optimizer, trials))
+
+
+def _parameters(policy: nn.Module, baseline: Baseline) -> Iterable[Any]:
+    """What the optimiser moves: the policy, and the baseline at a learning rate of its own."""
+    learned = list(baseline.parameters())
+    if not learned:
+        return policy.parameters()
+    return [{"params": list(policy.parameters())}, {"params": learned, "lr": baseline.lr}]
 
 
 def _instantiate(

@@ -2,7 +2,7 @@
 
 from trl_explore.strategies.argmax import Argmax
 from trl_explore.strategies.base import Strategy, inverse_cdf
-from trl_explore.strategies.behaviour import Behaviour
+from trl_explore.strategies.common import BaseStrategy
 from trl_explore.strategies.continuous import (
     ContinuousMixture,
     ContinuousMixtureStrategy,
@@ -20,7 +20,7 @@ from trl_explore.strategies.softmax import Softmax
 
 __all__ = [
     "Argmax",
-    "Behaviour",
+    "BaseStrategy",
     "ContinuousMixture",
     "ContinuousMixtureStrategy",
     "ContinuousStrategy",

@@ -11,10 +11,10 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 from torchrl.data.tensor_specs import ContinuousBox
 
-from trl_explore.strategies.behaviour import Behaviour, exploring
+from trl_explore.strategies.common import BaseStrategy, exploring
 
 
-class ContinuousStrategy(Behaviour):
+class ContinuousStrategy(BaseStrategy):
     """A behaviour policy μ(·|s) over actions a ∈ ℝⁿ, made from a policy π = N(loc, diag(scale²)).
 
     A subclass states ``draw`` and, where μ has a density, ``log_prob``. The box [low, high] of the

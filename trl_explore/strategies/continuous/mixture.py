@@ -12,7 +12,7 @@ from torch import Tensor
 
 from trl_explore.ops import gaussian_log_prob
 from trl_explore.schedules import Value
-from trl_explore.strategies.behaviour import check_rows, rows_of
+from trl_explore.strategies.common import check_trials, rows
 from trl_explore.strategies.continuous.base import ContinuousStrategy
 
 COLDEST = 1e-6
@@ -55,7 +55,7 @@ class ContinuousMixtureStrategy(ContinuousStrategy):
     ) -> None:
         """Learn whom the strategy serves."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        check_rows(self.mixture(), trials)
+        check_trials(trials, *self.mixture())
 
     def draw(self, loc: Tensor, scale: Tensor, noise: Tensor, trial: Tensor | None) -> Tensor:
         """The action [*batch, n_dims] of noise [*batch, n_dims + 1]."""
@@ -92,8 +92,8 @@ class ContinuousMixtureStrategy(ContinuousStrategy):
 
     def _point(self, trial: Tensor | None, loc: Tensor) -> list[Tensor]:
         """The weights of mean, Gaussian and uniform, and T: each [], or a column [*batch, 1]."""
-        rows = (rows_of(value, trial, loc) for value in self.mixture())
-        *weights, temperature = (torch.as_tensor(row).to(loc) for row in rows)
+        values = (rows(value, trial, loc) for value in self.mixture())
+        *weights, temperature = (torch.as_tensor(value).to(loc) for value in values)
         return [*weights, temperature.clamp(min=COLDEST)]
 
     def _bounds(self, loc: Tensor) -> tuple[Tensor, Tensor]:
