@@ -74,8 +74,8 @@ class ContinuousBehaviourActor(ProbabilisticActor):
 
     def __init__(self, actor: ProbabilisticActor, strategy: ContinuousStrategy) -> None:
         super().__init__(
-            actor[0],
-            in_keys={key: key for key in ("loc", "scale", "trial")},  # pyright: ignore[reportArgumentType] - a dict is allowed
+            actor[0],  # pyright: ignore[reportArgumentType]
+            in_keys=["loc", "scale", "trial"],
             distribution_class=_Density,
             distribution_kwargs={"strategy": strategy},
         )

@@ -73,6 +73,8 @@ class ContinuousStrategy(BaseStrategy):
         low, high = (
             bound.double().reshape(-1, spec.shape[-1])[0] for bound in (space.low, space.high)
         )
+        if isinstance(spec, Unbounded):  # torchrl's bounds are the largest numbers then
+            low, high = torch.full_like(low, -torch.inf), torch.full_like(high, torch.inf)
         if self.boxed and not (high - low).isfinite().all():
             raise ValueError(
                 f"{type(self).__name__} draws from the box of the actions, which must be finite, "
