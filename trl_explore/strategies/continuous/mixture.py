@@ -39,7 +39,8 @@ class ContinuousMixtureStrategy(ContinuousStrategy):
     μ(·|s) = w_mean · δ(loc) + w_gaussian · N(loc, diag((T · scale)²)) + w_uniform · U(low, high)
 
     the counterpart of the discrete ``MixtureStrategy``. The last number of the noise chooses the
-    corner (uniform where it is smallest, then the Gaussian), the others are inverted through its distribution function, dimension by dimension:
+    corner (uniform where it is smallest, then the Gaussian, then the mean), the others are inverted
+    through its distribution function, dimension by dimension:
 
         a_j = low_j + u_j (high_j − low_j)  or  a_j = loc_j + T scale_j Φ⁻¹(u_j)
 
