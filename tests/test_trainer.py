@@ -13,11 +13,11 @@ from torch.optim import Adam
 
 from trl_explore.config import CONF
 from trl_explore.config.kinds import options
+from trl_explore.episodes import outcomes
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.optim import LaneAdam, LaneOptimizer, torch_adam
 from trl_explore.policies import glorot_uniform
 from trl_explore.strategies import Argmax, DecayingEpsilonGreedy, EpsilonGreedy, Softmax
-from trl_explore.trainer import outcomes
 
 FILES = [CONF / "strategy" / f"{name}.yaml" for name in options("strategy", "discrete")]
 

@@ -82,6 +82,12 @@ class Strategy(BaseStrategy):
         """
         raise NotImplementedError(f"{type(self).__name__} does not state its probs")
 
+    def exploiting(self) -> Strategy:
+        """The strategy that takes the first action of largest logit."""
+        from trl_explore.strategies.argmax import Argmax
+
+        return Argmax()
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw "action" from μ and write "action_log_prob"."""
         logits = tensordict.get(self.logits_key)
@@ -100,6 +106,15 @@ class Strategy(BaseStrategy):
             tensordict.set("action_log_prob", log_prob)
         return tensordict
 
+    def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
+        """What ``probs`` is given to act on: here the logits of the target policy themselves.
+
+        Args:
+            tensordict: everything known of the frames.
+            logits: [*batch, n_actions], masked: −∞ where an action is forbidden, and stays so.
+        """
+        return logits
+
     def explore(
         self, tensordict: TensorDictBase, logits: Tensor, noise: Tensor
     ) -> tuple[Tensor, Tensor | None]:
@@ -113,6 +128,7 @@ class Strategy(BaseStrategy):
         Returns:
             The action [*batch] and its log-probability [*batch]; None if it has no exact one.
         """
+        logits = self.preferences(tensordict, logits)
         probs = self.probs(logits, tensordict.get("trial", None))
         action = inverse_cdf(probs, noise)
         return action, probs.gather(-1, action.unsqueeze(-1)).squeeze(-1).log()

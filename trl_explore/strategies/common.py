@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any, ClassVar
 
 import numpy as np
@@ -49,6 +50,11 @@ class BaseStrategy(TensorDictModuleBase):
         self.out_keys = written  # pyright: ignore[reportAttributeAccessIssue]
         self.iteration = 0
         self._generator = torch.Generator().manual_seed(seed)
+
+    @abstractmethod
+    def exploiting(self) -> BaseStrategy:
+        """The strategy that only exploits: it serves the evaluation of the target policy."""
+        raise NotImplementedError(f"{type(self).__name__} does not state who exploits")
 
     def serve(self, spec: TensorSpec) -> None:
         """Learn which actions the environment takes: called once, by the collector.

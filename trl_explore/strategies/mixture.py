@@ -50,6 +50,17 @@ class MixtureStrategy(Strategy):
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
         check_trials(trials, *self.mixture())
 
+    def behaviour_weight(self, weight: Tensor) -> Tensor:
+        """The weights of a linear policy whose logits are the strategy's ``preferences``.
+
+        A strategy that changes its preferences in another way than by these weights cannot be
+        compiled; one that does it by these weights states them here.
+
+        Args:
+            weight: W of the target policy, [trials, n_actions, n_features].
+        """
+        return weight
+
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
         """μ(·|s) [*batch, n_actions] in the current iteration."""
         mixture = Mixture(*(rows(value, trial, logits) for value in self.mixture()))

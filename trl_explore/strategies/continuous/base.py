@@ -83,6 +83,12 @@ class ContinuousStrategy(BaseStrategy):
         self.box = low, high
         self.noise_size = len(low) + 1
 
+    def exploiting(self) -> ContinuousStrategy:
+        """The strategy that takes the mean."""
+        from trl_explore.strategies.continuous.mean_action import MeanAction
+
+        return MeanAction()
+
     @abstractmethod
     def draw(self, loc: Tensor, scale: Tensor, noise: Tensor, trial: Tensor | None) -> Tensor:
         """The action [*batch, n_dims], in double, of noise [*batch, n_dims + 1]."""
