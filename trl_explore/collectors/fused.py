@@ -231,6 +231,8 @@ def compilable(env: TransformedEnv, policy: TensorDictSequential) -> Kernel:
         kernel = kernel_of(lane)
     except LookupError as error:
         raise NotCompilableError(str(error.args[0])) from None
+    if kernel.mask is not None:
+        raise NotCompilableError("the environment has action masks")
     weight, sizes = linear_weight(policy), (kernel.n_actions, kernel.n_features)
     lanes = lane_env(env)
     served = (int(lanes.single_action_space.n), *(lanes.single_observation_space.shape or ()))  # type: ignore[attr-defined]
