@@ -29,7 +29,7 @@ from trl_explore.collectors.loop import compile_loop, scratch
 from trl_explore.envs import lane_env
 from trl_explore.kernels import Kernel, kernel_of
 from trl_explore.policies import LinearPolicy
-from trl_explore.strategies import Behaviour, MixtureStrategy, Strategy
+from trl_explore.strategies import BaseStrategy, MixtureStrategy, Strategy
 from trl_explore.streams import Stream, key
 from trl_explore.threads import pool
 
@@ -120,7 +120,7 @@ class FusedCollector(EpisodeCollector):
                 "and it runs several at once"
             )
         self._weight = linear_weight(policy)
-        if self.episodes_per_update > 1 and type(self.strategy).begin is not Behaviour.begin:
+        if self.episodes_per_update > 1 and type(self.strategy).begin is not BaseStrategy.begin:
             name = type(self.strategy).__name__
             raise NotCompilableError(f"{name} prepares for every episode, and there are several")
         self.threads = check_integer("threads", threads, 1)
@@ -234,6 +234,8 @@ def compilable(env: TransformedEnv, policy: TensorDictSequential) -> Kernel:
         kernel = kernel_of(lane)
     except LookupError as error:
         raise NotCompilableError(str(error.args[0])) from None
+    if kernel.mask is not None:
+        raise NotCompilableError("the environment has action masks")
     weight, sizes = linear_weight(policy), (kernel.n_actions, kernel.n_features)
     lanes = lane_env(env)
     served = (int(lanes.single_action_space.n), *(lanes.single_observation_space.shape or ()))  # type: ignore[attr-defined]
