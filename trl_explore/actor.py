@@ -19,6 +19,7 @@ from torchrl.modules import IndependentNormal, ProbabilisticActor
 
 from trl_explore.ops import (
     categorical_log_prob,
+    gaussian_entropy,
     gaussian_log_prob,
     lane_sum,
     linear_softmax_score,
@@ -92,6 +93,59 @@ class SoftmaxActor(ProbabilisticActor):
         )
 
 
+class DiagonalGaussian(IndependentNormal):
+    """π = N(loc, diag(scale²)); like TorchRL's ``IndependentNormal``, each sum in a fixed order.
+
+    Args:
+        loc: [*batch, n_dims].
+        scale: [*batch, n_dims], > 0.
+    """
+
+    def __init__(self, loc: Tensor, scale: Tensor) -> None:
+        super().__init__(loc, scale, validate_args=False)
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        """Log density [*batch] of ``value`` [*batch, n_dims], which broadcasts."""
+        normal = self.base_dist
+        return gaussian_log_prob(*torch.broadcast_tensors(value, normal.loc, normal.scale))
+
+    def entropy(self) -> Tensor:
+        """Differential entropy [*batch] (nats): that of π without the clipping of actions."""
+        return gaussian_entropy(self.base_dist.scale)
+
+
+class GaussianActor(ProbabilisticActor):
+    """The target policy π = N(loc, diag(scale²)) over a module that writes "loc" and "scale".
+
+    As ``SoftmaxActor``, it shares its parameters with ``policy`` and serves the loss.
+
+    Args:
+        policy: a module that writes "loc" and "scale" [*batch, n_dims].
+    """
+
+    def __init__(self, policy: TensorDictModule) -> None:
+        super().__init__(policy, in_keys=["loc", "scale"], distribution_class=DiagonalGaussian)
+
+
+def actor_of(policy: TensorDictModule) -> ProbabilisticActor:
+    """The target policy as a distribution, by what the policy writes.
+
+    "logits" are those of a softmax, "loc" and "scale" those of a Gaussian.
+
+    Raises:
+        ValueError: if it writes neither.
+    """
+    written = set(policy.out_keys)
+    if "logits" in written:
+        return SoftmaxActor(policy)
+    if {"loc", "scale"} <= written:
+        return GaussianActor(policy)
+    raise ValueError(
+        f"a policy must write logits, or loc and scale; {type(policy).__name__} writes "
+        f"{', '.join(map(str, policy.out_keys))}"
+    )
+
+
 def frame_log_prob(
     actor: ProbabilisticTensorDictSequential, tensordict: TensorDictBase, action: Tensor
 ) -> Tensor:
@@ -129,38 +183,6 @@ def frame_distribution(
     if actor.masked and mask is None:
         raise KeyError("the data have no entry 'action_mask'")
     return SoftmaxCategorical(actor[0](tensordict.copy()).get("logits"), mask)
-
-
-class GaussianActor(ProbabilisticActor):
-    """The target policy π = N(loc, diag(scale²)) over a module that writes "loc" and "scale".
-
-    As ``SoftmaxActor``, it shares its parameters with ``policy`` and serves the loss.
-
-    Args:
-        policy: a module that writes "loc" and "scale" [*batch, n_dims].
-    """
-
-    def __init__(self, policy: TensorDictModule) -> None:
-        super().__init__(policy, in_keys=["loc", "scale"], distribution_class=IndependentNormal)
-
-
-def actor_of(policy: TensorDictModule) -> ProbabilisticActor:
-    """The target policy as a distribution, by what the policy writes.
-
-    "logits" are those of a softmax, "loc" and "scale" those of a Gaussian.
-
-    Raises:
-        ValueError: if it writes neither.
-    """
-    written = set(policy.out_keys)
-    if "logits" in written:
-        return SoftmaxActor(policy)
-    if {"loc", "scale"} <= written:
-        return GaussianActor(policy)
-    raise ValueError(
-        f"a policy must write logits, or loc and scale; {type(policy).__name__} writes "
-        f"{', '.join(map(str, policy.out_keys))}"
-    )
 
 
 @singledispatch
@@ -206,18 +228,4 @@ def _(
         observation = tensordict.get("observation")
         return linear_softmax_score(observation, policy.weight, action, advantage, trial)
     log_prob = frame_log_prob(actor, tensordict, action)
-    return lane_sum(log_prob * advantage, trial, trials)
-
-
-@score_sum.register
-def _(
-    actor: GaussianActor,
-    tensordict: TensorDictBase,
-    action: Tensor,
-    advantage: Tensor,
-    trial: Tensor,
-    trials: int,
-) -> Tensor:
-    written = actor[0](tensordict.copy())
-    log_prob = gaussian_log_prob(action, written.get("loc"), written.get("scale"))
     return lane_sum(log_prob * advantage, trial, trials)

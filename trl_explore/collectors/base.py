@@ -18,7 +18,7 @@ from torchrl.envs.utils import ExplorationType
 
 from trl_explore.checks import check_integer
 from trl_explore.envs import LaneVectorEnv, lane_env
-from trl_explore.strategies import Behaviour
+from trl_explore.strategies import BaseStrategy
 
 
 class EpisodeCollector(BaseCollector):
@@ -94,10 +94,10 @@ class EpisodeCollector(BaseCollector):
         self.closed = False
 
     @property
-    def strategy(self) -> Behaviour:
+    def strategy(self) -> BaseStrategy:
         """The strategy at the end of the policy."""
         strategy = self.policy[-1]
-        if not isinstance(strategy, Behaviour):
+        if not isinstance(strategy, BaseStrategy):
             raise ValueError(
                 "the collector's policy must be TensorDictSequential(policy, strategy); "
                 f"its last module is a {type(strategy).__name__}"

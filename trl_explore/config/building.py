@@ -114,7 +114,7 @@ def _evaluator(config: DictConfig, policy: Any, strategy: Any) -> Evaluator | No
         return None
     streams = {"seed": config.seed, "first_trial": config.first_trial, "stream": Stream.EVALUATION}
     env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
-    greedy = TensorDictSequential(policy, strategy.without_exploration())
+    greedy = TensorDictSequential(policy, strategy.exploiting())
     collector = auto_collector(
         env,
         greedy,

@@ -39,3 +39,20 @@ def gaussian_log_prob(action: Tensor, loc: Tensor, scale: Tensor) -> Tensor:
     check_frames(loc.shape, action=action, scale=scale)
     terms = 0.5 * ((action - loc) / scale) ** 2 + scale.log() + LOG_SQRT_2PI
     return -reduce(add, terms.unbind(-1))
+
+
+def gaussian_entropy(scale: Tensor) -> Tensor:
+    """Σ_j [½ + ½ log 2π + log scale_j], the differential entropy of N(loc, diag(scale²)).
+
+    Args:
+        scale: [*batch, n_dims], > 0.
+
+    Returns:
+        [*batch] (nats).
+
+    Example:
+        >>> import torch
+        >>> gaussian_entropy(torch.tensor([1 / math.sqrt(math.tau * math.e)]))
+        tensor(0.)
+    """
+    return reduce(add, (0.5 + LOG_SQRT_2PI + scale.log()).unbind(-1))

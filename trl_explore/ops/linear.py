@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from trl_explore.kernels.base import kernel_function
 from trl_explore.threads import by_trial, check_frames, fits
 
 WIDE = 8
@@ -118,7 +119,6 @@ class _LaneLinear(torch.autograd.Function):
 @nb.njit(cache=True, nogil=True)
 def _forward(x, out, trial, weight, bias):
     trials, n_out, n_in = weight.shape
-    biased = bias.shape[1] > 0
     columns = np.empty((n_in, n_out), dtype=weight.dtype)
     i = 0
     while i < len(x):
@@ -131,25 +131,46 @@ def _forward(x, out, trial, weight, bias):
         if n_out >= WIDE and end > i + 1:
             columns[:] = weight[lane].T
             for f in range(i, end):
-                for j in range(n_out):
-                    out[f, j] = columns[0, j] * x[f, 0]
-                for k in range(1, n_in):
-                    value = x[f, k]
-                    for j in range(n_out):
-                        out[f, j] += columns[k, j] * value
+                accumulate(columns, x[f], out[f], n_in, n_out)
         else:
-            for f in range(i, end):
-                for j in range(n_out):
-                    total = weight[lane, j, 0] * x[f, 0]
-                    for k in range(1, n_in):
-                        total += weight[lane, j, k] * x[f, k]
-                    out[f, j] = total
-        if biased:
+            _narrow(x[i:end], weight[lane], out[i:end])
+        if bias.shape[1] > 0:
             for f in range(i, end):
                 for j in range(n_out):
                     out[f, j] += bias[lane, j]
         i = end
     return True
+
+
+@kernel_function
+def _narrow(x, weight, out):
+    """W x for the frames of one lane, output by output."""
+    n_out, n_in = weight.shape
+    for f in range(len(x)):
+        for j in range(n_out):
+            total = weight[j, 0] * x[f, 0]
+            for k in range(1, n_in):
+                total += weight[j, k] * x[f, k]
+            out[f, j] = total
+
+
+@kernel_function
+def accumulate(columns, x, out, n_in, n_out):
+    """Σ_k columns_k x_k, a sum in the order of k for each of the n_out outputs, side by side."""
+    for j in range(n_out):
+        out[j] = columns[0, j] * x[0]
+    k = 1
+    while k + 4 <= n_in:
+        x0, x1, x2, x3 = x[k], x[k + 1], x[k + 2], x[k + 3]
+        c0, c1, c2, c3 = columns[k], columns[k + 1], columns[k + 2], columns[k + 3]
+        for j in range(n_out):
+            out[j] = (((out[j] + c0[j] * x0) + c1[j] * x1) + c2[j] * x2) + c3[j] * x3
+        k += 4
+    while k < n_in:
+        x0, c0 = x[k], columns[k]
+        for j in range(n_out):
+            out[j] += c0[j] * x0
+        k += 1
 
 
 @nb.njit(cache=True, nogil=True)

@@ -2,7 +2,7 @@
 
 from trl_explore.strategies.argmax import Argmax
 from trl_explore.strategies.base import Strategy, inverse_cdf
-from trl_explore.strategies.behaviour import Behaviour
+from trl_explore.strategies.common import BaseStrategy
 from trl_explore.strategies.continuous import (
     ContinuousMixture,
     ContinuousMixtureStrategy,
@@ -28,7 +28,7 @@ from trl_explore.strategies.vdbe import VDBE
 __all__ = [
     "VDBE",
     "Argmax",
-    "Behaviour",
+    "BaseStrategy",
     "ContinuousMixture",
     "ContinuousMixtureStrategy",
     "ContinuousStrategy",

@@ -9,10 +9,10 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Categorical, OneHot, TensorSpec
 
-from trl_explore.strategies.behaviour import Behaviour, exploring
+from trl_explore.strategies.common import BaseStrategy, exploring
 
 
-class Strategy(Behaviour):
+class Strategy(BaseStrategy):
     """A behaviour distribution μ(·|s) over n actions, made from the logits of a target policy.
 
     A subclass states ``probs(logits)``; everything else is here. The action is drawn by inverse
@@ -36,6 +36,7 @@ class Strategy(Behaviour):
     Attributes:
         exact: whether "action_log_prob" is the exact log-probability of the action under μ; a
             strategy for which that does not exist writes none.
+        differentiable: whether ``probs`` is differentiable in the logits, in every iteration.
         noise_size: how many uniform numbers it uses for each frame; where more than one, "noise"
             is [*batch, noise_size].
 
@@ -81,8 +82,8 @@ class Strategy(Behaviour):
         """
         raise NotImplementedError(f"{type(self).__name__} does not state its probs")
 
-    def without_exploration(self) -> Behaviour:
-        """The strategy that only exploits: it serves the evaluation of the target policy."""
+    def exploiting(self) -> Strategy:
+        """The strategy that takes the first action of largest logit."""
         from trl_explore.strategies.argmax import Argmax
 
         return Argmax()

@@ -14,8 +14,7 @@ from torch import Tensor
 from trl_explore.checks import check_integer
 from trl_explore.ops import lane_linear
 from trl_explore.schedules import Schedule, as_schedule
-from trl_explore.strategies.behaviour import check_rows, rows_of
-from trl_explore.strategies.mixture import Mixture, MixtureStrategy
+from trl_explore.strategies.mixture import Mixture, MixtureStrategy, check_trials, rows
 from trl_explore.streams import Stream, generator
 
 
@@ -76,7 +75,7 @@ class CountBonus(MixtureStrategy):
     ) -> None:
         """Begin with nothing visited."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        check_rows([self.beta(self.iteration)], trials)
+        check_trials(trials, self.beta(self.iteration))
         self._whom = (trials, seed, first_trial)
         self._hash, self._counts = torch.zeros(0), torch.zeros(0, dtype=torch.int32)
 
@@ -88,7 +87,7 @@ class CountBonus(MixtureStrategy):
         """Logits plus bonus."""
         self._prepare(tensordict.get("observation").shape[-1], logits.shape[-1])
         visits = self._counts[self._cells(tensordict)]
-        beta = rows_of(self.beta(self.iteration), tensordict.get("trial", None), logits)
+        beta = rows(self.beta(self.iteration), tensordict.get("trial", None), logits)
         return logits + beta / (visits.to(logits.dtype) + 1).sqrt()
 
     def step(self, data: TensorDictBase | None = None) -> None:

@@ -15,8 +15,7 @@ from torch import Tensor
 from trl_explore.checks import check_integer, check_number
 from trl_explore.schedules import Schedule, as_schedule
 from trl_explore.strategies.base import Strategy, inverse_cdf
-from trl_explore.strategies.behaviour import check_rows, rows_of
-from trl_explore.strategies.mixture import Mixture, mixture_probs
+from trl_explore.strategies.mixture import Mixture, check_trials, mixture_probs, rows
 
 
 class EpsilonZGreedy(Strategy):
@@ -84,7 +83,7 @@ class EpsilonZGreedy(Strategy):
     ) -> None:
         """Learn whom the strategy serves."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        check_rows([self.epsilon(self.iteration)], trials)
+        check_trials(trials, self.epsilon(self.iteration))
         self._reset(trials)
 
     def begin(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
@@ -99,7 +98,7 @@ class EpsilonZGreedy(Strategy):
 
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
         """ε-greedy [*batch, n_actions]: μ where no repetition runs."""
-        epsilon = rows_of(self.epsilon(self.iteration), trial, logits)
+        epsilon = rows(self.epsilon(self.iteration), trial, logits)
         return mixture_probs(logits, Mixture(greedy=1 - epsilon, uniform=epsilon))
 
     def explore(
@@ -110,7 +109,7 @@ class EpsilonZGreedy(Strategy):
         if len(self._remaining) != batch.numel():
             self._reset(batch.numel())
         trial = tensordict.get("trial", None)
-        epsilon = rows_of(self.epsilon(self.iteration), trial, logits)
+        epsilon = rows(self.epsilon(self.iteration), trial, logits)
         epsilon = torch.as_tensor(epsilon, dtype=torch.float64).expand(*batch, 1).squeeze(-1)
         whether, what, how_long = noise.unbind(-1)
         uniform = inverse_cdf(mixture_probs(logits, Mixture(uniform=1.0)), what)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from trl_explore.schedules import Value
 from trl_explore.strategies.base import Strategy
-from trl_explore.strategies.behaviour import check_rows, rows_of
+from trl_explore.strategies.common import check_trials, rows
 
 
 class Mixture(NamedTuple):
@@ -49,7 +49,7 @@ class MixtureStrategy(Strategy):
     ) -> None:
         """Learn whom the strategy serves."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        check_rows(self.mixture(), trials)
+        check_trials(trials, *self.mixture())
 
     def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
         """The parameters with which the policy's logits are the strategy's ``preferences``.
@@ -63,7 +63,7 @@ class MixtureStrategy(Strategy):
 
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
         """μ(·|s) [*batch, n_actions] in the current iteration."""
-        mixture = Mixture(*(rows_of(value, trial, logits) for value in self.mixture()))
+        mixture = Mixture(*(rows(value, trial, logits) for value in self.mixture()))
         return mixture_probs(logits, mixture)
 
 

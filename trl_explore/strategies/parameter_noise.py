@@ -16,8 +16,7 @@ from torch.func import functional_call
 from trl_explore.checks import check_number
 from trl_explore.ops import lane_sum
 from trl_explore.schedules import Schedule, as_schedule
-from trl_explore.strategies.behaviour import check_rows
-from trl_explore.strategies.mixture import Mixture, MixtureStrategy
+from trl_explore.strategies.mixture import Mixture, MixtureStrategy, check_trials
 from trl_explore.streams import Stream, generator
 
 Parameters = dict[str, Tensor]
@@ -87,7 +86,7 @@ class ParameterNoise(MixtureStrategy):
     ) -> None:
         """Take the policy whose parameters are to be perturbed."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        check_rows([self.sigma(self.iteration)], trials)
+        check_trials(trials, self.sigma(self.iteration))
         for name, parameter in policy.named_parameters():
             if trials > 1 and (parameter.ndim == 0 or len(parameter) != trials):
                 raise ValueError(

@@ -11,10 +11,10 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 from torchrl.data.tensor_specs import ContinuousBox
 
-from trl_explore.strategies.behaviour import Behaviour, exploring
+from trl_explore.strategies.common import BaseStrategy, exploring
 
 
-class ContinuousStrategy(Behaviour):
+class ContinuousStrategy(BaseStrategy):
     """A behaviour policy μ(·|s) over actions a ∈ ℝⁿ, made from a policy π = N(loc, diag(scale²)).
 
     A subclass states ``draw`` and, where μ has a density, ``log_prob``. The box [low, high] of the
@@ -59,12 +59,6 @@ class ContinuousStrategy(Behaviour):
         if spec is not None:
             self.serve(spec)
 
-    def without_exploration(self) -> Behaviour:
-        """The mean action."""
-        from trl_explore.strategies.continuous.mean_action import MeanAction
-
-        return MeanAction()
-
     def serve(self, spec: TensorSpec) -> None:
         """Learn which actions the environment takes: their number of dimensions and the box."""
         super().serve(spec)
@@ -79,6 +73,8 @@ class ContinuousStrategy(Behaviour):
         low, high = (
             bound.double().reshape(-1, spec.shape[-1])[0] for bound in (space.low, space.high)
         )
+        if isinstance(spec, Unbounded):  # torchrl's bounds are the largest numbers then
+            low, high = torch.full_like(low, -torch.inf), torch.full_like(high, torch.inf)
         if self.boxed and not (high - low).isfinite().all():
             raise ValueError(
                 f"{type(self).__name__} draws from the box of the actions, which must be finite, "
@@ -86,6 +82,12 @@ class ContinuousStrategy(Behaviour):
             )
         self.box = low, high
         self.noise_size = len(low) + 1
+
+    def exploiting(self) -> ContinuousStrategy:
+        """The strategy that takes the mean."""
+        from trl_explore.strategies.continuous.mean_action import MeanAction
+
+        return MeanAction()
 
     @abstractmethod
     def draw(self, loc: Tensor, scale: Tensor, noise: Tensor, trial: Tensor | None) -> Tensor:

@@ -33,6 +33,7 @@ class EpsilonUniform(ContinuousMixtureStrategy):
         True
     """
 
+    differentiable = True
     boxed = True
 
     def __init__(self, epsilon: float | Sequence[float] | Schedule = 0.3, **options: Any) -> None:
@@ -62,6 +63,7 @@ class EpsilonMean(EpsilonUniform):
     """
 
     exact = False
+    differentiable = False
 
     def mixture(self) -> ContinuousMixture:
         """A point on the edge from the mean to uniform."""

@@ -32,6 +32,8 @@ class Gaussian(ContinuousMixtureStrategy):
         tensor(0.5000)
     """
 
+    differentiable = True
+
     def __init__(
         self, temperature: float | Sequence[float] | Schedule = 1.0, **options: Any
     ) -> None:

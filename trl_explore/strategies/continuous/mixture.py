@@ -12,11 +12,13 @@ from torch import Tensor
 
 from trl_explore.ops import gaussian_log_prob
 from trl_explore.schedules import Value
-from trl_explore.strategies.behaviour import check_rows, rows_of
+from trl_explore.strategies.common import check_trials, rows
 from trl_explore.strategies.continuous.base import ContinuousStrategy
 
 COLDEST = 1e-6
 """The smallest temperature: a Gaussian of scale 0 has no density."""
+BELOW_ONE = 1 - 2**-53
+"""The largest number below 1."""
 
 
 class ContinuousMixture(NamedTuple):
@@ -37,7 +39,8 @@ class ContinuousMixtureStrategy(ContinuousStrategy):
     μ(·|s) = w_mean · δ(loc) + w_gaussian · N(loc, diag((T · scale)²)) + w_uniform · U(low, high)
 
     the counterpart of the discrete ``MixtureStrategy``. The last number of the noise chooses the
-    corner, the others are inverted through its distribution function, dimension by dimension:
+    corner (uniform where it is smallest, then the Gaussian, then the mean), the others are inverted
+    through its distribution function, dimension by dimension:
 
         a_j = low_j + u_j (high_j − low_j)  or  a_j = loc_j + T scale_j Φ⁻¹(u_j)
 
@@ -55,17 +58,17 @@ class ContinuousMixtureStrategy(ContinuousStrategy):
     ) -> None:
         """Learn whom the strategy serves."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        check_rows(self.mixture(), trials)
+        check_trials(trials, *self.mixture())
 
     def draw(self, loc: Tensor, scale: Tensor, noise: Tensor, trial: Tensor | None) -> Tensor:
         """The action [*batch, n_dims] of noise [*batch, n_dims + 1]."""
-        _, gaussian, uniform, temperature = self._point(trial, loc)
-        corner, u = noise[..., -1:], noise[..., :-1]
+        mean, gaussian, uniform, temperature = self._point(trial, loc)
+        corner, u = noise[..., -1:].clamp(max=BELOW_ONE), noise[..., :-1]
         action = loc
         if gaussian.any():
             # Φ⁻¹ is finite strictly between 0 and 1.
-            z = torch.special.ndtri(u.clamp(2**-54, 1 - 2**-53))
-            action = torch.where(corner < gaussian + uniform, loc + temperature * scale * z, action)
+            z = torch.special.ndtri(u.clamp(1 - BELOW_ONE, BELOW_ONE))
+            action = torch.where(corner < 1 - mean, loc + temperature * scale * z, action)
         if uniform.any():
             low, high = self._bounds(loc)
             action = torch.where(corner < uniform, low + u * (high - low), action)
@@ -92,8 +95,9 @@ class ContinuousMixtureStrategy(ContinuousStrategy):
 
     def _point(self, trial: Tensor | None, loc: Tensor) -> list[Tensor]:
         """The weights of mean, Gaussian and uniform, and T: each [], or a column [*batch, 1]."""
-        rows = (rows_of(value, trial, loc) for value in self.mixture())
-        *weights, temperature = (torch.as_tensor(row).to(loc) for row in rows)
+        values = (rows(value, trial, loc) for value in self.mixture())
+        point = [torch.as_tensor(value, dtype=loc.dtype, device=loc.device) for value in values]
+        *weights, temperature = point
         return [*weights, temperature.clamp(min=COLDEST)]
 
     def _bounds(self, loc: Tensor) -> tuple[Tensor, Tensor]:

@@ -22,6 +22,7 @@ class UniformAction(ContinuousMixtureStrategy):
         tensor(0.2500)
     """
 
+    differentiable = True
     boxed = True
 
     def mixture(self) -> ContinuousMixture:

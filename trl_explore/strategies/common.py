@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from abc import abstractmethod
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,7 +15,7 @@ from torchrl.data import Composite, TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
 
 
-class Behaviour(TensorDictModuleBase):
+class BaseStrategy(TensorDictModuleBase):
     """A behaviour policy μ(·|s) made from what a target policy writes.
 
     The ancestor of ``Strategy``, over n actions, and of ``ContinuousStrategy``, over vectors. Here
@@ -26,7 +26,8 @@ class Behaviour(TensorDictModuleBase):
         actions: the kind of the actions, "discrete" or "continuous".
         exact: whether "action_log_prob" is the exact log-probability of the action under μ; a
             strategy for which that does not exist writes none.
-        differentiable: whether ``probs`` is differentiable in the logits, in every iteration.
+        differentiable: whether the probability under μ is differentiable in what the policy writes,
+            in every iteration.
         noise_size: how many uniform numbers it uses for each frame; where more than one, "noise"
             is [*batch, noise_size].
 
@@ -50,6 +51,11 @@ class Behaviour(TensorDictModuleBase):
         self.iteration = 0
         self._generator = torch.Generator().manual_seed(seed)
 
+    @abstractmethod
+    def exploiting(self) -> BaseStrategy:
+        """The strategy that only exploits: it serves the evaluation of the target policy."""
+        raise NotImplementedError(f"{type(self).__name__} does not state who exploits")
+
     def serve(self, spec: TensorSpec) -> None:
         """Learn which actions the environment takes: called once, by the collector.
 
@@ -65,10 +71,6 @@ class Behaviour(TensorDictModuleBase):
                 f"{type(self).__name__} draws {self.actions} actions, "
                 f"but those of the environment are {spec.domain}"
             )
-
-    def without_exploration(self) -> Behaviour:
-        """The strategy that only exploits: it serves the evaluation of the target policy."""
-        raise NotImplementedError
 
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
@@ -113,15 +115,15 @@ class Behaviour(TensorDictModuleBase):
     def _leaf(self, spec: TensorSpec) -> TensorSpec:
         return spec[self.action_key] if isinstance(spec, Composite) else spec
 
-    def _noise(self, tensordict: TensorDictBase, rows: Tensor) -> Tensor:
-        """The noise [*batch], or [*batch, noise_size], of frames with ``rows`` [*batch, n]."""
-        shape = rows.shape[:-1]
+    def _noise(self, tensordict: TensorDictBase, like: Tensor) -> Tensor:
+        """The noise [*batch], or [*batch, noise_size], of frames with ``like`` [*batch, n]."""
+        shape = like.shape[:-1]
         if self.noise_size > 1:
             shape = (*shape, self.noise_size)
         noise = tensordict.get("noise", None)
         if noise is None:
             noise = torch.rand(shape, generator=self._generator, dtype=torch.float64)
-        return noise.to(rows.device).reshape(shape)
+        return noise.to(like.device).reshape(shape)
 
 
 def exploring() -> bool:
@@ -129,29 +131,24 @@ def exploring() -> bool:
     return exploration_type() in (ExplorationType.RANDOM, None)
 
 
-def check_rows(values: Iterable[Any], trials: int) -> None:
-    """Check that the parameters that are arrays have one value for each trial.
+def check_trials(trials: int, *values: float | NDArray[np.float64] | Tensor) -> None:
+    """Refuse parameters with a value per trial, but not for all.
 
     Raises:
-        ValueError: otherwise.
+        ValueError: if there is one.
     """
     for value in values:
         if isinstance(value, np.ndarray) and value.shape != (trials,):
             raise ValueError(f"a parameter has {value.size} values, but there are {trials} trials")
 
 
-def rows_of(
+def rows(
     value: float | NDArray[np.float64] | Tensor, trial: Tensor | None, like: Tensor
 ) -> float | Tensor:
-    """One number, or the trials' own numbers as a column [*batch, 1].
-
-    Args:
-        value: a number, or one per trial [trials].
-        trial: [*batch] int64.
-        like: gives dtype and device.
+    """One number, or the trials' own numbers as a column [*batch, 1], of the dtype of ``like``.
 
     Raises:
-        ValueError: if there is one number per trial, and no trial.
+        ValueError: if the numbers differ between trials, and those of the frames are not known.
     """
     if not isinstance(value, np.ndarray):
         return value
