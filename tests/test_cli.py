@@ -474,6 +474,17 @@ def test_wrong_input_in_a_process_of_its_own(run_cli, tmp_path):
     assert not results_below(tmp_path)
 
 
+def test_a_sweep_over_schedules(run_many, tmp_path):
+    debug = ["experiment=debug", f"output_dir={tmp_path}", "strategy=softmax"]
+    kinds = "+schedule@strategy.temperature=linear,cosine"
+    (ran,) = run_many([["-m", *debug, kinds, "++strategy.temperature.initial=5"]], tmp_path)
+    assert (ran.returncode, complaints(ran)) == (0, [])
+    rest = "temperature.final=0.1,temperature.initial=5.0,temperature.iterations=500"
+    expected = {f"softmax,temperature={kind},{rest}" for kind in ("linear", "cosine")}
+    assert {path.name for path in (tmp_path / "debug").iterdir() if path.is_dir()} == expected
+    assert len(read_jobs([tmp_path])) == 2
+
+
 def test_one_wrong_job_does_not_stop_a_sweep(run_many, tmp_path):
     (ran,) = run_many(
         [
