@@ -182,7 +182,7 @@ def hot_softmax_repaired(study: Study, rng: np.random.Generator) -> Finding:
 
 
 def every_temperature_serves(study: Study, rng: np.random.Generator) -> Finding:
-    """p > 90 % at every temperature with the gradient of μ."""
+    """Ask p > 90 % at every temperature with the gradient of μ."""
     grid = study.under("Behaviour").grid("temperature_grid", "temperature")
     return rules.all_of(
         [
@@ -202,7 +202,7 @@ def _need(jobs: dict[str, Outcomes], name: str, strategy: str) -> Outcomes:
 
 
 def _excess(a: Sample, b: Sample, label: str) -> Sample:
-    """a − b on the trials that both have.
+    """Take a − b on the trials that both have.
 
     Raises:
         NotMeasuredError: they have none in common.
