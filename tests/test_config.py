@@ -25,10 +25,19 @@ from trl_explore.config import (
     job_name,
     resolved,
 )
+from trl_explore.config.kinds import options
 
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 FILES = [(group, path.stem) for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
 MANDATORY = {("env", "gym"): ["env.id=Acrobot-v1", "env.max_steps=20"]}
+PENDULUM = ["env=gym", "env.id=Pendulum-v1", "env.max_steps=20"]
+MANDATORY |= {
+    ("policy", name): [*PENDULUM, "strategy=gaussian"] for name in options("policy", "continuous")
+}
+MANDATORY |= {
+    ("strategy", name): [*PENDULUM, "policy=gaussian_linear"]
+    for name in options("strategy", "continuous")
+}
 
 
 @pytest.fixture(scope="module", autouse=True)
