@@ -154,7 +154,7 @@ def difference(files: dict[str, bytes], expected: dict[str, bytes]) -> str | Non
     return None
 
 
-class Failure(Exception):
+class FailureError(Exception):
     """A promise that was not kept."""
 
 
@@ -163,7 +163,7 @@ def check_after(ended: Ended, signum: int, before: set[str], folder: Path, expec
     files = contents(folder) if folder.exists() else {}
     done = finished(files)
     if lost := before - done:
-        raise Failure(f"{sorted(lost)} had been finished")
+        raise FailureError(f"{sorted(lost)} had been finished")
     for job in done:
         mine, theirs = (
             {n: data for n, data in all_files.items() if n.startswith(f"{job}/")}
@@ -176,16 +176,16 @@ def check_after(ended: Ended, signum: int, before: set[str], folder: Path, expec
             if n in theirs or ("/checkpoint/" not in n and "/.lock" not in n)
         }
         if found := difference(mine, theirs):
-            raise Failure(f"a finished job is not what it should be: {found}")
+            raise FailureError(f"a finished job is not what it should be: {found}")
     if "Traceback" in ended.stderr:
-        raise Failure(f"a traceback:\n{ended.stderr}")
+        raise FailureError(f"a traceback:\n{ended.stderr}")
     if signum in CLEAN:
         if ended.status not in (0, CLEAN[signum]):
-            raise Failure(f"status {ended.status} after {signal.Signals(signum).name}")
+            raise FailureError(f"status {ended.status} after {signal.Signals(signum).name}")
         if ended.status and "the same command goes on" not in ended.stderr:
-            raise Failure(f"no word on how to go on: {ended.stderr!r}")
+            raise FailureError(f"no word on how to go on: {ended.stderr!r}")
         if ended.status and ended.seconds > PROMPT:
-            raise Failure(f"{ended.seconds:.1f} s to end after {signal.Signals(signum).name}")
+            raise FailureError(f"{ended.seconds:.1f} s to end after {signal.Signals(signum).name}")
     return done
 
 
@@ -204,11 +204,11 @@ def one_round(
         if ended.status == 0:
             break
         if ended.status not in (-signum, CLEAN.get(signum)):
-            raise Failure(f"status {ended.status}: {ended.stderr}")
+            raise FailureError(f"status {ended.status}: {ended.stderr}")
         counts[signal.Signals(signum).name] += 1
         done = check_after(ended, signum, done, folder, expected)
     if found := difference(contents(folder), expected):
-        raise Failure(found)
+        raise FailureError(found)
     return counts
 
 
@@ -220,7 +220,7 @@ def soak(kills: int, seed: int, place: Path) -> Counter[str]:
         folder.mkdir(parents=True)
         ended = run([*COMMON, *sweep], folder)
         if ended.status:
-            raise Failure(f"without a signal, {name}: {ended.stderr}")
+            raise FailureError(f"without a signal, {name}: {ended.stderr}")
         references[name] = contents(folder / "outputs"), ended.seconds
     total: Counter[str] = Counter()
     number = 0
@@ -230,8 +230,8 @@ def soak(kills: int, seed: int, place: Path) -> Counter[str]:
             number += 1
             try:
                 counts = one_round(name, expected, seconds, place / "round", rng)
-            except Failure as failure:
-                raise Failure(f"round {number} ({name}), seed {seed}: {failure}") from None
+            except FailureError as failure:
+                raise FailureError(f"round {number} ({name}), seed {seed}: {failure}") from None
             total += counts
             total["rounds"] += 0
     print(
@@ -278,7 +278,7 @@ def main() -> int:
     try:
         warm_up(place / "warm")
         soak(arguments.kills, arguments.seed, place)
-    except Failure as failure:
+    except FailureError as failure:
         print(f"FAILED: {failure}\nfolders: {place}", file=sys.stderr)
         return 1
     if not arguments.keep:
