@@ -346,7 +346,7 @@ WRONG = [
     (("loss.reduction=max",), "loss: reduction must be one of sum, mean, none, got 'max'"),
     (("env.max_steps=0",), "env: max_steps must be an integer >= 1, got 0"),
     (("env.id=NoSuch-v0",), "env: unknown environment id 'NoSuch-v0'"),
-    (("env.id=Pendulum-v1",), "env: environment 'Pendulum-v1' has action space Box"),
+    (("env.id=Pendulum-v1",), "continuous actions, not served by Softmax and LinearPolicy"),
     (("env.id=Blackjack-v1",), "env: environment 'Blackjack-v1' has observation space Tuple"),
     (
         ("env.id=CliffWalking-v1", "env.max_steps=null"),
