@@ -38,7 +38,7 @@ TRANSFORMS = (StepCounter, RewardSum)
 
 MIN_TRIALS = 64
 """Trials for each thread below which dividing them costs more than it saves."""
-ROOT = ("trial", "observation", "action", "action_log_prob")
+ROOT = ("trial", "observation", "action", "action_log_prob", "action_mask")
 NEXT = ("reward", "done", "terminated", "truncated", "step_count", "episode_reward")
 
 
@@ -75,9 +75,8 @@ class Columns:
         for new, old in zip(grown, self.arrays, strict=False):
             new[:used] = old[:used]
         self.capacity, self.arrays = capacity, grown
-        self._root = dict(zip(ROOT, map(torch.from_numpy, grown[:4]), strict=True))
-        if self.n_masks:
-            self._root["action_mask"] = torch.from_numpy(grown[10])
+        root = (*grown[:4], *([grown[10]] if self.n_masks else []))
+        self._root = dict(zip(ROOT, map(torch.from_numpy, root), strict=False))
         after = (torch.from_numpy(array).unsqueeze(-1) for array in grown[4:10])
         self._next = dict(zip(NEXT, after, strict=True))
 
@@ -231,7 +230,7 @@ def compilable(
 
 def _names(policy: TensorDictSequential) -> str:
     """The modules before the strategy."""
-    return ", ".join(type(module).__name__ for module in list(policy)[:-1])
+    return ", ".join(type(module).__name__ for module in policy.module[:-1])
 
 
 def check_sizes(

@@ -66,7 +66,7 @@ def network_of(policy: TensorDictModuleBase) -> tuple[Network, list[nn.Parameter
         n_out, n_in = module.weight.shape[1:]
         return Network(kind, (n_in, n_out)), [module.weight]
     if type(policy) is MLPPolicy and type(module) is LaneMLP:
-        layers = list(module.layers)
+        layers: list[Any] = list(module.layers)
         bias = layers[0].bias is not None
         parameters = [layer.weight for layer in layers]
         parameters += [layer.bias for layer in layers] if bias else []
