@@ -36,15 +36,17 @@ class TabularPolicy(LinearPolicy):
     ) -> None:
         space = _space(env)
         if not isinstance(space, spaces.Discrete):
-            raise ValueError(f"a table needs a Discrete observation, the environment has {space}")
+            raise ValueError(
+                f"a table needs Discrete observations, got {' '.join(str(space).split())}"
+            )
         super().__init__(env, init=init, seed=seed, first_trial=first_trial)
 
 
-def _space(env: EnvBase) -> gym.Space | None:
-    """The observation space before it became one-hot."""
+def _space(env: EnvBase) -> gym.Space:
+    """The observation space before ``make_env`` made a vector of it."""
     lane = lane_env(env).envs[0]
-    while isinstance(lane, gym.Wrapper):
-        if isinstance(lane, gym.wrappers.FlattenObservation):
-            return lane.env.observation_space
+    if isinstance(lane, gym.wrappers.DtypeObservation):
+        lane = lane.env
+    if isinstance(lane, gym.wrappers.FlattenObservation):
         lane = lane.env
     return lane.observation_space
