@@ -28,7 +28,10 @@ from trl_explore.config import (
 
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 FILES = [(group, path.stem) for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
-MANDATORY = {("env", "gym"): ["env.id=Acrobot-v1", "env.max_steps=20"]}
+MANDATORY = {
+    ("env", "gym"): ["env.id=Acrobot-v1", "env.max_steps=20"],
+    ("policy", "tabular"): ["env=gym", "env.id=FrozenLake-v1"],
+}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -57,7 +60,7 @@ def name(*overrides: str) -> str:
 
 def test_every_folder_of_conf_is_a_group():
     folders = {path.name for path in CONF.iterdir() if path.is_dir()}
-    assert folders - {"hydra"} == {*GROUPS, "experiment"}
+    assert folders - {"hydra"} == {*GROUPS, "experiment", "schedule"}
 
 
 @pytest.mark.parametrize(("group", "option"), FILES)
@@ -272,7 +275,7 @@ def test_a_long_name_is_short_and_still_its_own():
         ("+loss.gama=1", r"unknown key 'loss.gama'; loss=reinforce has: .*gamma"),
         ("+env.steps=1", r"unknown key 'env.steps'; env=cartpole has: id, kwargs, max_iter"),
         ("+optimizer.betas=[0,0]", r"unknown key 'optimizer.betas'; optimizer=adam has: lr"),
-        ("+policy.bias=true", r"unknown key 'policy.bias'; policy=linear has: no keys"),
+        ("+policy.bias=true", r"unknown key 'policy.bias'; policy=linear has: init"),
     ],
 )
 def test_keys_that_do_not_exist(override, message):

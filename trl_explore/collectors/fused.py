@@ -30,7 +30,7 @@ from trl_explore.collectors.networks import Network, arrays, network_of
 from trl_explore.envs import lane_env
 from trl_explore.kernels import Kernel, kernel_of
 from trl_explore.policies.base import is_one_hot
-from trl_explore.strategies import MixtureStrategy, Strategy
+from trl_explore.strategies import BaseStrategy, MixtureStrategy, Strategy
 from trl_explore.streams import Stream, key
 from trl_explore.threads import pool
 
@@ -116,6 +116,9 @@ class FusedCollector(EpisodeCollector):
     ) -> None:
         super().__init__(env, policy, exploration_type=exploration_type, **options)
         self.kernel, self.network, self._parameters = compilable(env, policy)
+        if self.episodes_per_update > 1 and type(self.strategy).begin is not BaseStrategy.begin:
+            name = type(self.strategy).__name__
+            raise NotCompilableError(f"{name} prepares for every episode, and there are several")
         masked = has_mask(env)
         self._loop = compile_loop(self.kernel, self.network, masked)
         self.threads = check_integer("threads", threads, 1)
@@ -131,13 +134,16 @@ class FusedCollector(EpisodeCollector):
     def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
         trials = np.repeat(np.flatnonzero(active), self.episodes_per_update)
         self.strategy.begin(active, self.episodes)
+        explore = self.exploration_type == ExplorationType.RANDOM
+        strategy = cast(MixtureStrategy, self.strategy)
+        acting = strategy.behaviour_parameters(self._parameters) if explore else self._parameters
         context = (
             self.lanes.first_trial,
             key(self.lanes.seed, self.lanes.stream),
             key(self.lanes.seed, Stream.ACTION),
-            arrays(self.network, self._parameters),
+            arrays(self.network, acting),
             self._mixture(),
-            self.exploration_type == ExplorationType.RANDOM,
+            explore,
         )
         numbers = np.arange(len(trials)) % self.episodes_per_update
         episodes = self.episodes[trials] + numbers
@@ -273,6 +279,11 @@ def check_strategy(strategy: Any) -> None:
         raise NotCompilableError(f"{name} is not a mixture of argmax, softmax and uniform")
     if kind.probs is not MixtureStrategy.probs or kind.forward is not Strategy.forward:
         raise NotCompilableError(f"{name} changes probs or forward")
+    if kind.explore is not Strategy.explore:
+        raise NotCompilableError(f"{name} draws its actions in a way of its own")
+    unstated = kind.behaviour_parameters is MixtureStrategy.behaviour_parameters
+    if kind.preferences is not Strategy.preferences and unstated:
+        raise NotCompilableError(f"{name} changes the logits, and not by the parameters")
     keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
     if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
         raise NotCompilableError(f"{name} has a one-hot action or renamed entries")

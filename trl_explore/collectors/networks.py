@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 from tensordict.nn import TensorDictModuleBase
-from torch import nn
+from torch import Tensor, nn
 
 from trl_explore.kernels.base import kernel_function
 from trl_explore.kernels.borrow import borrow
@@ -70,19 +71,20 @@ def network_of(
     module = cast(Any, getattr(policy, "module", None))
     if type(policy) in (LinearPolicy, TabularPolicy) and type(module) is LaneLinear:
         kind = "table" if one_hot else "linear"
-        n_out, n_in = module.weight.shape[1:]
-        return Network(kind, (n_in, n_out)), [module.weight]
+        weight = cast(nn.Parameter, module.weight)
+        n_out, n_in = weight.shape[1:]
+        return Network(kind, (n_in, n_out)), [weight]
     if type(policy) is MLPPolicy and type(module) is LaneMLP:
-        layers: list[Any] = list(module.layers)
+        layers = [cast(LaneLinear, layer) for layer in module.layers]
         bias = layers[0].bias is not None
         parameters = [layer.weight for layer in layers]
-        parameters += [layer.bias for layer in layers] if bias else []
+        parameters += [cast(nn.Parameter, layer.bias) for layer in layers] if bias else []
         sizes = (layers[0].weight.shape[2], *(layer.weight.shape[1] for layer in layers))
         return Network("mlp", sizes, module.activation, bias), parameters
     return None
 
 
-def arrays(network: Network, parameters: list[nn.Parameter]) -> Any:
+def arrays(network: Network, parameters: Sequence[Tensor]) -> Any:
     """The parameters as the compiled functions take them."""
     values = [parameter.detach().contiguous().numpy() for parameter in parameters]
     if network.kind != "mlp":

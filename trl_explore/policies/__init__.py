@@ -1,6 +1,7 @@
-"""Policies: (observation, trial) -> logits, with independent parameters for every trial."""
+"""Policies: (observation, trial) -> logits, or loc and scale; every trial has its parameters."""
 
-from trl_explore.policies.base import n_actions, n_features
+from trl_explore.policies.base import n_actions, n_dims, n_features
+from trl_explore.policies.gaussian import GaussianLinearPolicy, GaussianMLPPolicy, LaneGaussian
 from trl_explore.policies.initial import INITS, glorot_uniform, initial_weights
 from trl_explore.policies.lanes import LaneLinear, LaneMLP
 from trl_explore.policies.linear import LinearPolicy
@@ -9,6 +10,9 @@ from trl_explore.policies.tabular import TabularPolicy
 
 __all__ = [
     "INITS",
+    "GaussianLinearPolicy",
+    "GaussianMLPPolicy",
+    "LaneGaussian",
     "LaneLinear",
     "LaneMLP",
     "LinearPolicy",
@@ -17,5 +21,6 @@ __all__ = [
     "glorot_uniform",
     "initial_weights",
     "n_actions",
+    "n_dims",
     "n_features",
 ]

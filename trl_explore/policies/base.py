@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gymnasium as gym
-from torchrl.data import Categorical
+from torchrl.data import Bounded, Categorical, Unbounded
 from torchrl.envs import EnvBase
 
 from trl_explore.envs import lane_env
@@ -17,6 +17,20 @@ def n_actions(env: EnvBase) -> int:
             f"a softmax policy needs a Categorical action spec, got {type(spec).__name__}"
         )
     return spec.n
+
+
+def n_dims(env: EnvBase) -> int:
+    """The number of dimensions of a continuous action.
+
+    Raises:
+        ValueError: if the actions are not vectors of real numbers.
+    """
+    spec = env.action_spec
+    if not isinstance(spec, Bounded | Unbounded) or spec.domain != "continuous":
+        raise ValueError(
+            f"a Gaussian policy needs a Bounded or Unbounded action spec, got {type(spec).__name__}"
+        )
+    return spec.shape[-1]
 
 
 def n_features(env: EnvBase) -> int:

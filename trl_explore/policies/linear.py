@@ -27,6 +27,8 @@ class LinearPolicy(TensorDictModule):
         ValueError: if the actions are not ``Categorical``, or ``init`` is unknown.
     """
 
+    actions = "discrete"
+
     def __init__(
         self,
         env: EnvBase,

@@ -38,6 +38,8 @@ class MLPPolicy(TensorDictModule):
         [(3, 16, 4), (3, 16), (3, 2, 16), (3, 2)]
     """
 
+    actions = "discrete"
+
     def __init__(
         self,
         env: EnvBase,
