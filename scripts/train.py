@@ -6,6 +6,7 @@ import logging
 import os
 import sys
 import time
+from io import TextIOWrapper
 from pathlib import Path
 
 import hydra
@@ -14,26 +15,31 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
-from trl_explore.config import CONF, ConfigError
+from trl_explore.config import CONF, ConfigError, Ended
 from trl_explore.results import ResultsError
-
-finished: list[Path] = []
-failed: list[str] = []
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
-def run(config: DictConfig) -> None:
-    """One job of a sweep, or the only one."""
+def run(config: DictConfig) -> Ended:
+    """One job of a sweep, or the only one; in a process of a launcher, if there is one."""
     folder = configuration.current_folder()
+    if configuration.is_worker():
+        begin_worker()
     try:
         train(config, folder)
-        finished.append(folder)
     except (ConfigError, ResultsError, OmegaConfBaseException, OSError, MemoryError) as error:
-        if not any(folder.iterdir()):
-            folder.rmdir()
-        line = configuration.describe(error)
-        failed.append(f"{folder.name}: {line}" if configuration.is_multirun() else line)
-        print(f"error: {failed[-1]}", file=sys.stderr)
+        return configuration.end_job(folder, configuration.describe(error))
+    return configuration.end_job(folder)
+
+
+def begin_worker() -> None:
+    """Only whole lines come from a process that shares its terminal with others."""
+    from trl_explore.console import Progress
+
+    Progress.quiet = True
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(line_buffering=True)
 
 
 def train(config: DictConfig, folder: Path) -> None:
@@ -93,7 +99,10 @@ def main() -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # hand errors over instead of printing tracebacks
     configuration.register_resolvers()
     try:
-        run()
+        with configuration.collecting() as jobs:
+            run()
+        finished = [job.folder for job in jobs if not job.error]
+        failed = len(jobs) - len(finished)
         if finished:
             show(finished)
     except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
@@ -105,7 +114,7 @@ def main() -> int:
         print("interrupted; finished jobs are kept, the same command goes on", file=sys.stderr)
         return 130
     if failed and finished:
-        print(f"{len(failed)} of {len(failed) + len(finished)} jobs failed", file=sys.stderr)
+        print(f"{failed} of {len(jobs)} jobs failed", file=sys.stderr)
     return 1 if failed else 0
 
 

@@ -26,9 +26,12 @@ class Progress:
         stream: where to write.
     """
 
+    quiet = False
+    """Whether this process is one of several that share a terminal."""
+
     def __init__(self, label: str, stream: TextIO = sys.stderr) -> None:
         self.label, self.stream = label, stream
-        self.live = stream.isatty()
+        self.live = stream.isatty() and not Progress.quiet
         self.started = self.shown = time.perf_counter()
 
     def __call__(self, trials: Trials) -> None:
