@@ -29,6 +29,10 @@ def run(config: DictConfig) -> Ended:
         train(config, folder)
     except (ConfigError, ResultsError, OmegaConfBaseException, OSError, MemoryError) as error:
         return configuration.end_job(folder, configuration.describe(error))
+    except KeyboardInterrupt as error:
+        if not configuration.is_worker():
+            raise
+        return configuration.end_job(folder, str(error) or "interrupted", record=False)
     return configuration.end_job(folder)
 
 

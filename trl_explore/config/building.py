@@ -43,9 +43,11 @@ def build_trainer(config: DictConfig) -> Trainer:
     from tensordict.nn import TensorDictSequential
 
     from trl_explore.actor import SoftmaxActor
+    from trl_explore.compiled import lock_cache
     from trl_explore.trainer import Trainer
     from trl_explore.trials import Trials
 
+    lock_cache()
     for key, (low, high) in INTEGERS.items():
         _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))
     trials = _build(
