@@ -92,6 +92,8 @@ def train(config: DictConfig, folder: Path) -> None:
         collector=type(trainer.collector).__name__,
         seconds=time.perf_counter() - started,
         episodes=config.episodes,
+        evaluator=trainer.evaluator,
+        diagnostics=trainer.diagnostics,
     )
 
 

@@ -1,10 +1,12 @@
-"""What losses, baselines and corrections see of an iteration: flat frames of whole episodes."""
+"""The data of an iteration: flat frames of whole episodes, and what follows from them."""
 
 from __future__ import annotations
 
 from functools import cached_property
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -111,3 +113,20 @@ class Episodes:
     def episodes_of_trial(self) -> Tensor:
         """The number of episodes of every trial [trials] int64."""
         return torch.bincount(self.owner, minlength=self.trials)
+
+
+def outcomes(
+    data: TensorDictBase, episodes_per_update: int = 1
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Score and number of frames of every episode in a collector's data, in their order.
+
+    Returns:
+        Each [active], or [active, k] where every trial has k > 1 episodes.
+    """
+    after = data.get("next")
+    last = np.flatnonzero(after.get("done").numpy())
+    scores = after.get("episode_reward").numpy()[last, 0].astype(np.float64)
+    frames = after.get("step_count").numpy()[last, 0]
+    if episodes_per_update == 1:
+        return scores, frames
+    return scores.reshape(-1, episodes_per_update), frames.reshape(-1, episodes_per_update)

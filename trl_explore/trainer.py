@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
 from trl_explore.collectors import EpisodeCollector
+from trl_explore.diagnostics import Diagnostics
+from trl_explore.episodes import outcomes
+from trl_explore.evaluation import Evaluator
 from trl_explore.optim import TrialOptimizer
 from trl_explore.trials import Trials
 
@@ -40,10 +43,15 @@ class Trainer:
         loss: a loss with one value per trial, in "trial_loss", and reduction "sum" or "none".
         optimizer: moves the active trials.
         trials: the record, which decides when a trial stops.
+        evaluator: plays the greedy policy now and then.
+        stop_on_evaluation: whether a trial converges by its evaluation scores, not by those of
+            its training.
+        diagnostics: records what happens inside of the trials.
         on_iteration: called after each iteration with the record.
 
     Raises:
-        ValueError: if the loss averages over trials, which would couple them.
+        ValueError: if the loss averages over trials, which would couple them, or evaluation is to
+            decide and there is none.
     """
 
     def __init__(
@@ -53,14 +61,22 @@ class Trainer:
         optimizer: TrialOptimizer,
         trials: Trials,
         *,
+        evaluator: Evaluator | None = None,
+        stop_on_evaluation: bool = False,
+        diagnostics: Diagnostics | None = None,
         on_iteration: Callable[[Trials], None] | None = None,
     ) -> None:
         if loss.reduction == "mean":
             raise ValueError("reduction 'mean' couples the trials; allowed here are sum and none")
+        if stop_on_evaluation and evaluator is None:
+            raise ValueError("stop_on=evaluation needs evaluate_every of at least 1, got 0")
         self.collector = collector
         self.loss = loss
         self.optimizer = optimizer
         self.trials = trials
+        self.evaluator = evaluator
+        self.stop_on_evaluation = stop_on_evaluation
+        self.diagnostics = diagnostics
         self.on_iteration = on_iteration
 
     def run(self) -> Trials:
@@ -79,7 +95,20 @@ class Trainer:
         trial_loss = self._update(data, active)
         self.collector.strategy.step(data)
         diverged = self._diverged(trial_loss, active)
-        self.trials.record(scores, frames, diverged, time.perf_counter() - started)
+        passed = self._evaluate(active)
+        self.trials.record(scores, frames, diverged, time.perf_counter() - started, passed)
+
+    def _evaluate(self, active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+        """Evaluate if it is time to; who has passed by it [active], if that is what counts."""
+        if self.evaluator is None:
+            return None
+        iteration = self.trials.iteration + 1
+        due = self.evaluator.is_due(iteration)
+        if due:
+            self.evaluator.evaluate(iteration, active)
+        if not self.stop_on_evaluation:
+            return None
+        return self.evaluator.passed(active) & due
 
     def _update(self, data: TensorDictBase, active: NDArray[np.bool_]) -> torch.Tensor:
         self.optimizer.zero_grad()
@@ -88,6 +117,8 @@ class Trainer:
         loss = loss if loss.ndim == 0 else loss.sum()
         value_loss = losses.get("loss_value", None)
         (loss if value_loss is None else loss + value_loss.sum()).backward()
+        if self.diagnostics is not None:
+            self.diagnostics.record(data, active)
         self.optimizer.step(torch.from_numpy(active))
         self.loss.step(data)
         return losses.get("trial_loss")
@@ -99,20 +130,3 @@ class Trainer:
             return np.zeros(np.count_nonzero(active), dtype=np.bool_)
         finite = [np.isfinite(row.reshape(len(row), -1)).all(axis=1) for row in rows]
         return ~np.logical_and.reduce(finite)[active]
-
-
-def outcomes(
-    data: TensorDictBase, episodes_per_update: int = 1
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Score and number of frames of every episode in a collector's data, in their order.
-
-    Returns:
-        Each [active], or [active, k] where every trial has k > 1 episodes.
-    """
-    after = data.get("next")
-    last = np.flatnonzero(after.get("done").numpy())
-    scores = after.get("episode_reward").numpy()[last, 0].astype(np.float64)
-    frames = after.get("step_count").numpy()[last, 0]
-    if episodes_per_update == 1:
-        return scores, frames
-    return scores.reshape(-1, episodes_per_update), frames.reshape(-1, episodes_per_update)
