@@ -24,6 +24,7 @@ from trl_explore.results.names import (
     ResultsError,
 )
 from trl_explore.results.reading import (
+    find_folders,
     find_jobs,
     is_finished,
     read_curves,
@@ -47,6 +48,7 @@ __all__ = [
     "TRIAL_COLUMNS",
     "ResultsError",
     "clear",
+    "find_folders",
     "find_jobs",
     "is_finished",
     "read_curves",

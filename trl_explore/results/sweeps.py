@@ -75,14 +75,13 @@ def read_failures(sweep: Path) -> dict[str, str]:
     """The reason for every job that failed, by name."""
     reasons = {}
     with suppress(OSError):
-        for name in sorted(os.listdir(sweep / FAILED)):
-            if not name.endswith(".json"):
+        for path in sorted((sweep / FAILED).iterdir()):
+            if path.suffix != ".json":
                 continue
             try:
-                text = (sweep / FAILED / name).read_text(encoding="utf-8")
-                reasons[name.removesuffix(".json")] = str(json.loads(text)["reason"])
+                reasons[path.stem] = str(json.loads(path.read_text(encoding="utf-8"))["reason"])
             except (OSError, ValueError, KeyError, TypeError, RecursionError):
-                reasons[name.removesuffix(".json")] = "the reason is not legible"
+                reasons[path.stem] = "the reason is not legible"
     return reasons
 
 
