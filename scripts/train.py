@@ -6,6 +6,7 @@ import logging
 import os
 import sys
 import time
+import traceback
 from io import TextIOWrapper
 from pathlib import Path
 
@@ -16,7 +17,10 @@ from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
 from trl_explore.config import CONF, ConfigError, Ended
-from trl_explore.results import ResultsError
+
+EXPECTED = (ValueError, OmegaConfBaseException, OSError, MemoryError)
+"""Errors whose message says enough; before others stands their type."""
+show_traceback = bool(os.environ.get("HYDRA_FULL_ERROR"))
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
@@ -27,8 +31,13 @@ def run(config: DictConfig) -> Ended:
         begin_worker()
     try:
         train(config, folder)
-    except (ConfigError, ResultsError, OmegaConfBaseException, OSError, MemoryError) as error:
-        return configuration.end_job(folder, configuration.describe(error))
+    except Exception as error:  # whatever ends a job, the others of the sweep are run
+        if show_traceback:
+            traceback.print_exc()
+        line = configuration.describe(error)
+        if not isinstance(error, EXPECTED):
+            line = f"{type(error).__name__}: {line}"
+        return configuration.end_job(folder, line)
     except KeyboardInterrupt as error:
         if not configuration.is_worker():
             raise
@@ -99,7 +108,6 @@ def train(config: DictConfig, folder: Path) -> None:
 
 def main() -> int:
     """Run Hydra; anything that the user did wrong is one line on stderr, and status 1."""
-    show_traceback = bool(os.environ.get("HYDRA_FULL_ERROR"))
     logging.basicConfig(format="%(message)s", stream=sys.stderr)
     logging.getLogger("trl_explore").setLevel(logging.INFO)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # hand errors over instead of printing tracebacks
