@@ -7,6 +7,7 @@ sweeper that Hydra builds is given a launcher of ours, which hands on to the one
 
 from __future__ import annotations
 
+import shutil
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -68,12 +69,15 @@ def end_job(folder: Path, error: str = "", *, record: bool = True) -> Ended:
     """Note how a job ended: for the one who started it, and for ``status``.
 
     Args:
-        folder: of the job; removed if nothing is in it.
+        folder: of the job; of one that failed it is removed, unless there is something in it
+            from which it could go on.
         error: one line; nothing if the job is finished.
         record: whether the failure is one of the job, and not of this attempt.
     """
     if error:
         with suppress(OSError):
+            if {path.name for path in folder.iterdir()} == {".hydra"}:
+                shutil.rmtree(folder / ".hydra")
             folder.rmdir()
             folder.parent.rmdir()
         if record and is_multirun():
