@@ -151,6 +151,8 @@ def train_from(
                 collector=type(trainer.collector).__name__,
                 seconds=trainer.seconds,
                 episodes=config.episodes,
+                evaluator=trainer.evaluator,
+                diagnostics=trainer.diagnostics,
             )
     except Interrupted as error:
         saver.rescue()

@@ -12,11 +12,11 @@ from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch.optim import Adam
 
+from trl_explore.episodes import outcomes
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.optim import LaneAdam, LaneOptimizer, torch_adam
 from trl_explore.policy import glorot_uniform
 from trl_explore.strategies import Argmax, DecayingEpsilonGreedy, EpsilonGreedy, Softmax
-from trl_explore.trainer import outcomes
 
 FILES = sorted((Path(__file__).parent.parent / "conf" / "strategy").glob("*.yaml"))
 

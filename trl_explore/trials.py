@@ -72,6 +72,7 @@ class Trials:
         frames: NDArray[np.int64],
         diverged: NDArray[np.bool_],
         seconds: float,
+        passed: NDArray[np.bool_] | None = None,
     ) -> None:
         """Enter one iteration and stop the trials whose time has come.
 
@@ -81,6 +82,8 @@ class Trials:
             frames: their numbers of frames, in the same shape.
             diverged: whether the trial has left the finite numbers [active].
             seconds: wall time since the batch began.
+            passed: whether the trial has converged, where something else than its training scores
+                decides that [active].
         """
         trial = np.flatnonzero(self.active)
         self._episodes.append((trial, scores, frames))
@@ -100,7 +103,8 @@ class Trials:
         # In its last iteration a trial counts with its episode, from then on with its final score.
         episode_score = np.add.reduce(self._episode_score) / len(self)
         full = self._n_episodes >= self.score_window
-        passed = (mean > self.score_threshold) & full & ~diverged
+        own = (mean > self.score_threshold) & full
+        passed = np.logical_and(own if passed is None else passed, ~diverged)
         if passed.any() or diverged.any() or self.iteration >= self.max_iterations:
             self._stop(trial, passed, diverged)
         score = np.add.reduce(self.score) / len(self)

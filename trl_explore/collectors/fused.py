@@ -114,6 +114,11 @@ class FusedCollector(EpisodeCollector):
         super().__init__(env, policy, exploration_type=exploration_type, **options)
         self.kernel = compilable(env, policy)
         self._loop = compile_loop(self.kernel)
+        if self.episodes_per_update > 1 and type(self.strategy).begin is not Strategy.begin:
+            raise NotCompilableError(
+                f"{type(self.strategy).__name__} begins every episode anew, "
+                "and it runs several at once"
+            )
         self._weight = linear_weight(policy)
         self.threads = check_integer("threads", threads, 1)
         steps = self.lanes.max_steps
@@ -124,13 +129,14 @@ class FusedCollector(EpisodeCollector):
     def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
         trials = np.repeat(np.flatnonzero(active), self.episodes_per_update)
         self.strategy.begin(active, self.episodes)
+        explore = self.exploration_type == ExplorationType.RANDOM
         context = (
             self.lanes.first_trial,
             key(self.lanes.seed, self.lanes.stream),
             key(self.lanes.seed, Stream.ACTION),
-            self._weight.detach().numpy(),
+            self._behaviour_weight(explore).numpy(),
             self._mixture(),
-            self.exploration_type == ExplorationType.RANDOM,
+            explore,
         )
         numbers = np.arange(len(trials)) % self.episodes_per_update
         episodes = self.episodes[trials] + numbers
@@ -176,6 +182,12 @@ class FusedCollector(EpisodeCollector):
             if finished == len(trials):
                 return frames
             columns.reserve(2 * columns.capacity, frames)
+
+    def _behaviour_weight(self, explore: bool) -> torch.Tensor:
+        """The weights that act: the strategy's, or without exploration the target policy's."""
+        weight = self._weight.detach()
+        strategy = self.strategy
+        return strategy.behaviour_weight(weight) if explore else weight  # pyright: ignore
 
     def _mixture(self) -> NDArray[np.float64]:
         """Weights and temperature [4, 1], or [4, trials] where they differ between trials."""
@@ -245,6 +257,11 @@ def check_strategy(strategy: Any) -> None:
         raise NotCompilableError(f"{name} is not a mixture of argmax, softmax and uniform")
     if kind.probs is not MixtureStrategy.probs or kind.forward is not Strategy.forward:
         raise NotCompilableError(f"{name} changes probs or forward")
+    if kind.explore is not Strategy.explore:
+        raise NotCompilableError(f"{name} draws its actions in a way of its own")
+    unstated = kind.behaviour_weight is MixtureStrategy.behaviour_weight
+    if kind.preferences is not Strategy.preferences and unstated:
+        raise NotCompilableError(f"{name} changes the logits by more than the weights")
     keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
     if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
         raise NotCompilableError(f"{name} has a one-hot action or renamed entries")

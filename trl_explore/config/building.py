@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,10 @@ from trl_explore.config.base import ConfigError
 from trl_explore.config.checking import describe
 
 if TYPE_CHECKING:
+    from torch import nn
+
+    from trl_explore.baselines import Baseline
+    from trl_explore.evaluation import Evaluator
     from trl_explore.trainer import Trainer
 
 INTEGERS = {
@@ -25,8 +29,11 @@ INTEGERS = {
     "first_trial": (0, LARGEST - 10**7),
     "threads": (1, MAX_THREADS),
     "episodes_per_update": (1, 10**6),
+    "evaluate_every": (0, 10**9),
+    "evaluate_episodes": (1, 10**6),
 }
 """Keys of the top level that hold an integer, and its bounds."""
+STOP_ON = ("training", "evaluation")
 STOPPING = ("max_iterations", "score_threshold", "score_window")
 """What an environment's file says of the stopping rule; the trainer's business."""
 
@@ -40,6 +47,7 @@ def build_trainer(config: DictConfig) -> Trainer:
     from tensordict.nn import TensorDictSequential
 
     from trl_explore.actor import SoftmaxActor
+    from trl_explore.diagnostics import Diagnostics
     from trl_explore.trainer import Trainer
     from trl_explore.trials import Trials
 
@@ -59,10 +67,74 @@ def build_trainer(config: DictConfig) -> Trainer:
     strategy = _instantiate(config, "strategy")()
     env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
     policy = _instantiate(config, "policy")(env=env, **streams)
-    optimizer = _instantiate(config, "optimizer")(policy.parameters())
-    loss = _instantiate(config, "loss")(SoftmaxActor(policy), trials=config.trials)
+    baseline = _instantiate(config, "baseline")()
+    baseline.bind(env)
+    optimizer = _instantiate(config, "optimizer")(_parameters(policy, baseline))
+    actor = SoftmaxActor(policy)
+    loss = _instantiate(config, "loss")(
+        actor,
+        correction=_instantiate(config, "correction")(),
+        baseline=baseline,
+        strategy=strategy,
+        trials=config.trials,
+    )
     collector = _instantiate(config, "collector")(env, TensorDictSequential(policy, strategy))
-    return _build("loss", lambda: Trainer(collector, loss, optimizer, trials))
+    diagnostics = None
+    if config.diagnostics:
+        diagnostics = Diagnostics(actor, strategy, config.trials, policy.parameters())
+    evaluator = _evaluator(config, policy, strategy)
+    return _build(
+        None,
+        lambda: Trainer(
+            collector,
+            loss,
+            optimizer,
+            trials,
+            evaluator=evaluator,
+            stop_on_evaluation=config.stop_on == "evaluation",
+            diagnostics=diagnostics,
+        ),
+    )
+
+
+def _evaluator(config: DictConfig, policy: Any, strategy: Any) -> Evaluator | None:
+    """What plays the greedy policy; None: nothing does."""
+    from tensordict.nn import TensorDictSequential
+    from torchrl.envs.utils import ExplorationType
+
+    from trl_explore.collectors import auto_collector
+    from trl_explore.evaluation import Evaluator
+    from trl_explore.streams import Stream
+
+    if config.stop_on not in STOP_ON:
+        raise ConfigError(f"stop_on must be one of {', '.join(STOP_ON)}, got {config.stop_on!r}")
+    if not config.evaluate_every:
+        return None
+    streams = {"seed": config.seed, "first_trial": config.first_trial, "stream": Stream.EVALUATION}
+    env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
+    greedy = TensorDictSequential(policy, strategy.greedy())
+    collector = auto_collector(
+        env,
+        greedy,
+        threads=config.threads,
+        announce=False,
+        exploration_type=ExplorationType.DETERMINISTIC,
+        episodes_per_update=config.evaluate_episodes,
+    )
+    return Evaluator(
+        collector,
+        every=config.evaluate_every,
+        score_window=config.score_window,
+        score_threshold=config.score_threshold,
+    )
+
+
+def _parameters(policy: nn.Module, baseline: Baseline) -> Iterable[Any]:
+    """What the optimiser moves: the policy, and the baseline at a learning rate of its own."""
+    learned = list(baseline.parameters())
+    if not learned:
+        return policy.parameters()
+    return [{"params": list(policy.parameters())}, {"params": learned, "lr": baseline.lr}]
 
 
 def _instantiate(

@@ -39,6 +39,7 @@ class Strategy(TensorDictModuleBase):
     Attributes:
         exact: whether "action_log_prob" is the exact log-probability of the action under μ; a
             strategy for which that does not exist writes none.
+        differentiable: whether ``probs`` is differentiable in the logits, in every iteration.
         noise_size: how many uniform numbers it uses for each frame; where more than one, "noise"
             is [*batch, noise_size].
 
@@ -55,6 +56,7 @@ class Strategy(TensorDictModuleBase):
     """
 
     exact = True
+    differentiable = False
     noise_size = 1
 
     def __init__(
@@ -91,6 +93,12 @@ class Strategy(TensorDictModuleBase):
             trial: [*batch] int64, needed only where parameters differ between trials.
         """
         raise NotImplementedError(f"{type(self).__name__} does not state its probs")
+
+    def greedy(self) -> Strategy:
+        """The strategy that only exploits: it serves the evaluation of the target policy."""
+        from trl_explore.strategies.argmax import Argmax
+
+        return Argmax()
 
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
@@ -141,6 +149,15 @@ class Strategy(TensorDictModuleBase):
             tensordict.set("action_log_prob", log_prob)
         return tensordict
 
+    def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
+        """What ``probs`` is given to act on: here the logits of the target policy themselves.
+
+        Args:
+            tensordict: everything known of the frames.
+            logits: [*batch, n_actions], masked: −∞ where an action is forbidden, and stays so.
+        """
+        return logits
+
     def explore(
         self, tensordict: TensorDictBase, logits: Tensor, noise: Tensor
     ) -> tuple[Tensor, Tensor | None]:
@@ -154,6 +171,7 @@ class Strategy(TensorDictModuleBase):
         Returns:
             The action [*batch] and its log-probability [*batch]; None if it has no exact one.
         """
+        logits = self.preferences(tensordict, logits)
         probs = self.probs(logits, tensordict.get("trial", None))
         action = inverse_cdf(probs, noise)
         return action, probs.gather(-1, action.unsqueeze(-1)).squeeze(-1).log()

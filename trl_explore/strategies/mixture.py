@@ -47,15 +47,22 @@ class MixtureStrategy(Strategy):
     ) -> None:
         """Learn whom the strategy serves."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        for value in self.mixture():
-            if isinstance(value, np.ndarray) and value.shape != (trials,):
-                raise ValueError(
-                    f"a parameter has {value.size} values, but there are {trials} trials"
-                )
+        check_trials(trials, *self.mixture())
+
+    def behaviour_weight(self, weight: Tensor) -> Tensor:
+        """The weights of a linear policy whose logits are the strategy's ``preferences``.
+
+        A strategy that changes its preferences in another way than by these weights cannot be
+        compiled; one that does it by these weights states them here.
+
+        Args:
+            weight: W of the target policy, [trials, n_actions, n_features].
+        """
+        return weight
 
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
         """μ(·|s) [*batch, n_actions] in the current iteration."""
-        mixture = Mixture(*(_rows(value, trial, logits) for value in self.mixture()))
+        mixture = Mixture(*(rows(value, trial, logits) for value in self.mixture()))
         return mixture_probs(logits, mixture)
 
 
@@ -95,8 +102,23 @@ def _any(weight: Value | Tensor) -> bool:
     return weight != 0 if isinstance(weight, int | float) else bool((weight != 0).any())
 
 
-def _rows(value: Value | Tensor, trial: Tensor | None, logits: Tensor) -> float | Tensor:
-    """One number, or the trials' own numbers as a column [*batch, 1]."""
+def check_trials(trials: int, *values: Value | Tensor) -> None:
+    """Refuse parameters with a value per trial, but not for all.
+
+    Raises:
+        ValueError: if there is one.
+    """
+    for value in values:
+        if isinstance(value, np.ndarray) and value.shape != (trials,):
+            raise ValueError(f"a parameter has {value.size} values, but there are {trials} trials")
+
+
+def rows(value: Value | Tensor, trial: Tensor | None, logits: Tensor) -> float | Tensor:
+    """One number, or the trials' own numbers as a column [*batch, 1].
+
+    Raises:
+        ValueError: if the numbers differ between trials, and those of the frames are not known.
+    """
     if not isinstance(value, np.ndarray):
         return value
     if trial is None:
