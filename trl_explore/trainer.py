@@ -90,6 +90,10 @@ class Trainer:
         }
         self.parts: dict[str, Any] = {k: part for k, part in parts.items() if part is not None}
         """Everything with a state, by name: whatever joins the loop is entered here."""
+        if evaluator is not None:
+            self.parts["evaluator"] = evaluator
+        if diagnostics is not None:
+            self.parts["diagnostics"] = diagnostics
 
     def run(self) -> Trials:
         """Train until every trial has stopped."""

@@ -1,4 +1,4 @@
-"""What holds for every strategy, over every file of conf/strategy."""
+"""What holds for every strategy over discrete actions, over its files in conf/strategy."""
 
 import copy
 import io
@@ -19,9 +19,13 @@ from torchrl.envs.libs.gym import GymEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.config import CONF
+from trl_explore.config.kinds import options
 from trl_explore.strategies import Strategy
 
-FILES = {path.stem: OmegaConf.load(path) for path in sorted((CONF / "strategy").glob("*.yaml"))}
+FILES = {
+    name: OmegaConf.load(CONF / "strategy" / f"{name}.yaml")
+    for name in options("strategy", "discrete")
+}
 ARGMAX = [ExplorationType.MODE, ExplorationType.MEAN, ExplorationType.DETERMINISTIC]
 NEVER = -torch.inf
 QUIET = {"auto_register_policy_transforms": True}  # torchrl 0.14 warns where it is not stated

@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from trl_explore.checks import LARGEST, MAX_THREADS, check_integer, check_number
 from trl_explore.config.base import ConfigError
 from trl_explore.config.checking import describe
+from trl_explore.config.kinds import check_actions
 
 if TYPE_CHECKING:
     from torch import nn
@@ -46,7 +47,7 @@ def build_trainer(config: DictConfig) -> Trainer:
     """
     from tensordict.nn import TensorDictSequential
 
-    from trl_explore.actor import SoftmaxActor
+    from trl_explore.actor import actor_of
     from trl_explore.diagnostics import Diagnostics
     from trl_explore.trainer import Trainer
     from trl_explore.trials import Trials
@@ -66,11 +67,12 @@ def build_trainer(config: DictConfig) -> Trainer:
     streams = {"seed": config.seed, "first_trial": config.first_trial}
     strategy = _instantiate(config, "strategy")()
     env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
+    check_actions(config, env.action_spec.domain)
     policy = _instantiate(config, "policy")(env=env, **streams)
     baseline = _instantiate(config, "baseline")()
     baseline.bind(env)
     optimizer = _instantiate(config, "optimizer")(_parameters(policy, baseline))
-    actor = SoftmaxActor(policy)
+    actor = actor_of(policy)
     loss = _instantiate(config, "loss")(
         actor,
         correction=_instantiate(config, "correction")(),
@@ -112,7 +114,7 @@ def _evaluator(config: DictConfig, policy: Any, strategy: Any) -> Evaluator | No
         return None
     streams = {"seed": config.seed, "first_trial": config.first_trial, "stream": Stream.EVALUATION}
     env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
-    greedy = TensorDictSequential(policy, strategy.greedy())
+    greedy = TensorDictSequential(policy, strategy.exploiting())
     collector = auto_collector(
         env,
         greedy,

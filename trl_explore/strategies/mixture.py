@@ -14,6 +14,7 @@ from torch import Tensor
 
 from trl_explore.schedules import Value
 from trl_explore.strategies.base import Strategy
+from trl_explore.strategies.common import check_trials, rows
 
 
 class Mixture(NamedTuple):
@@ -100,27 +101,3 @@ def _weigh(corner: Tensor, weight: Value | Tensor) -> Tensor:
 
 def _any(weight: Value | Tensor) -> bool:
     return weight != 0 if isinstance(weight, int | float) else bool((weight != 0).any())
-
-
-def check_trials(trials: int, *values: Value | Tensor) -> None:
-    """Refuse parameters with a value per trial, but not for all.
-
-    Raises:
-        ValueError: if there is one.
-    """
-    for value in values:
-        if isinstance(value, np.ndarray) and value.shape != (trials,):
-            raise ValueError(f"a parameter has {value.size} values, but there are {trials} trials")
-
-
-def rows(value: Value | Tensor, trial: Tensor | None, logits: Tensor) -> float | Tensor:
-    """One number, or the trials' own numbers as a column [*batch, 1].
-
-    Raises:
-        ValueError: if the numbers differ between trials, and those of the frames are not known.
-    """
-    if not isinstance(value, np.ndarray):
-        return value
-    if trial is None:
-        raise ValueError("the parameters differ between trials: the data need a 'trial' entry")
-    return torch.as_tensor(value, dtype=logits.dtype, device=logits.device)[trial].unsqueeze(-1)
