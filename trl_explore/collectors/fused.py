@@ -134,11 +134,13 @@ class FusedCollector(EpisodeCollector):
         trials = np.repeat(np.flatnonzero(active), self.episodes_per_update)
         self.strategy.begin(active, self.episodes)
         explore = self.exploration_type == ExplorationType.RANDOM
+        strategy = cast(MixtureStrategy, self.strategy)
+        acting = strategy.behaviour_parameters(self._parameters) if explore else self._parameters
         context = (
             self.lanes.first_trial,
             key(self.lanes.seed, self.lanes.stream),
             key(self.lanes.seed, Stream.ACTION),
-            arrays(self.network, self._behaviour_parameters(explore)),
+            arrays(self.network, acting),
             self._mixture(),
             explore,
         )
@@ -187,15 +189,6 @@ class FusedCollector(EpisodeCollector):
                 return frames
             columns.reserve(2 * columns.capacity, frames)
 
-    def _behaviour_parameters(self, explore: bool) -> list[torch.Tensor]:
-        """The parameters that act: the strategy's, or without exploration the target policy's."""
-        own = [parameter.detach() for parameter in self._parameters]
-        strategy = self.strategy
-        assert isinstance(strategy, MixtureStrategy)
-        if explore and self.network.kind != "mlp":
-            return [strategy.behaviour_weight(own[0])]
-        return own
-
     def _mixture(self) -> NDArray[np.float64]:
         """Weights and temperature [4, 1], or [4, trials] where they differ between trials."""
         strategy = self.strategy
@@ -231,10 +224,6 @@ def compilable(
     if served is None:
         raise NotCompilableError(f"the policy {_names(policy)} is not known to it")
     check_strategy(policy[1])
-    if served[0].kind == "mlp" and type(policy[1]).preferences is not Strategy.preferences:
-        raise NotCompilableError(
-            f"{type(policy[1]).__name__} changes the logits, and the policy is not linear"
-        )
     try:
         kernel = kernel_of(lane)
     except LookupError as error:
@@ -291,9 +280,9 @@ def check_strategy(strategy: Any) -> None:
         raise NotCompilableError(f"{name} changes probs or forward")
     if kind.explore is not Strategy.explore:
         raise NotCompilableError(f"{name} draws its actions in a way of its own")
-    unstated = kind.behaviour_weight is MixtureStrategy.behaviour_weight
+    unstated = kind.behaviour_parameters is MixtureStrategy.behaviour_parameters
     if kind.preferences is not Strategy.preferences and unstated:
-        raise NotCompilableError(f"{name} changes the logits by more than the weights")
+        raise NotCompilableError(f"{name} changes the logits, and not by the parameters")
     keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
     if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
         raise NotCompilableError(f"{name} has a one-hot action or renamed entries")

@@ -64,8 +64,9 @@ def network_of(policy: TensorDictModuleBase) -> tuple[Network, list[nn.Parameter
     module = cast(Any, getattr(policy, "module", None))
     if type(policy) in (LinearPolicy, TabularPolicy) and type(module) is LaneLinear:
         kind = "table" if type(policy) is TabularPolicy else "linear"
-        n_out, n_in = module.weight.shape[1:]
-        return Network(kind, (n_in, n_out)), [module.weight]
+        weight = cast(nn.Parameter, module.weight)
+        n_out, n_in = weight.shape[1:]
+        return Network(kind, (n_in, n_out)), [weight]
     if type(policy) is MLPPolicy and type(module) is LaneMLP:
         layers = list(module.layers)
         bias = layers[0].bias is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from functools import reduce
 from operator import add
 from typing import NamedTuple
@@ -50,16 +51,15 @@ class MixtureStrategy(Strategy):
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
         check_trials(trials, *self.mixture())
 
-    def behaviour_weight(self, weight: Tensor) -> Tensor:
-        """The weights of a linear policy whose logits are the strategy's ``preferences``.
+    def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
+        """The parameters with which the policy's logits are the strategy's ``preferences``.
 
-        A strategy that changes its preferences in another way than by these weights cannot be
-        compiled; one that does it by these weights states them here.
+        A strategy with other preferences can be compiled only if it states such parameters here.
 
         Args:
-            weight: W of the target policy, [trials, n_actions, n_features].
+            parameters: parameters of the target policy that ``bind`` was given.
         """
-        return weight
+        return list(parameters)
 
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
         """μ(·|s) [*batch, n_actions] in the current iteration."""
