@@ -10,7 +10,8 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 from torchrl.modules import RandomPolicy
 
-from trl_explore.envs import LaneVectorEnv, first_line, lane_env, make_env
+from trl_explore.checks import first_line
+from trl_explore.envs import LaneVectorEnv, lane_env, make_env
 from trl_explore.strategies import Softmax
 from trl_explore.streams import Stream, generator
 

@@ -16,7 +16,7 @@ from torchrl.objectives import ReinforceLoss as TorchRLReinforceLoss
 from trl_explore.actor import SoftmaxActor
 from trl_explore.envs import make_env
 from trl_explore.objectives import ReinforceLoss
-from trl_explore.policy import LinearPolicy
+from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import Softmax
 
 KINDS = ["torch", "ours", "linear"]

@@ -15,10 +15,16 @@ from tensordict.nn import (
 from torch import Tensor
 from torch.distributions import Categorical as TorchCategorical
 from torch.distributions import Distribution
-from torchrl.modules import ProbabilisticActor
+from torchrl.modules import IndependentNormal, ProbabilisticActor
 
-from trl_explore.ops import categorical_log_prob, lane_sum, linear_softmax_score
-from trl_explore.policy import LinearPolicy
+from trl_explore.ops import (
+    categorical_log_prob,
+    gaussian_entropy,
+    gaussian_log_prob,
+    lane_sum,
+    linear_softmax_score,
+)
+from trl_explore.policies import LinearPolicy
 
 
 class SoftmaxCategorical(TorchCategorical):
@@ -85,6 +91,59 @@ class SoftmaxActor(ProbabilisticActor):
             in_keys=keys,  # pyright: ignore[reportArgumentType] - a dict is allowed
             distribution_class=SoftmaxCategorical,
         )
+
+
+class DiagonalGaussian(IndependentNormal):
+    """π = N(loc, diag(scale²)); like TorchRL's ``IndependentNormal``, each sum in a fixed order.
+
+    Args:
+        loc: [*batch, n_dims].
+        scale: [*batch, n_dims], > 0.
+    """
+
+    def __init__(self, loc: Tensor, scale: Tensor) -> None:
+        super().__init__(loc, scale, validate_args=False)
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        """Log density [*batch] of ``value`` [*batch, n_dims], which broadcasts."""
+        normal = self.base_dist
+        return gaussian_log_prob(*torch.broadcast_tensors(value, normal.loc, normal.scale))
+
+    def entropy(self) -> Tensor:
+        """Differential entropy [*batch] (nats): that of π without the clipping of actions."""
+        return gaussian_entropy(self.base_dist.scale)
+
+
+class GaussianActor(ProbabilisticActor):
+    """The target policy π = N(loc, diag(scale²)) over a module that writes "loc" and "scale".
+
+    As ``SoftmaxActor``, it shares its parameters with ``policy`` and serves the loss.
+
+    Args:
+        policy: a module that writes "loc" and "scale" [*batch, n_dims].
+    """
+
+    def __init__(self, policy: TensorDictModule) -> None:
+        super().__init__(policy, in_keys=["loc", "scale"], distribution_class=DiagonalGaussian)
+
+
+def actor_of(policy: TensorDictModule) -> ProbabilisticActor:
+    """The target policy as a distribution, by what the policy writes.
+
+    "logits" are those of a softmax, "loc" and "scale" those of a Gaussian.
+
+    Raises:
+        ValueError: if it writes neither.
+    """
+    written = set(policy.out_keys)
+    if "logits" in written:
+        return SoftmaxActor(policy)
+    if {"loc", "scale"} <= written:
+        return GaussianActor(policy)
+    raise ValueError(
+        f"a policy must write logits, or loc and scale; {type(policy).__name__} writes "
+        f"{', '.join(map(str, policy.out_keys))}"
+    )
 
 
 def frame_log_prob(

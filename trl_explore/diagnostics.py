@@ -14,7 +14,7 @@ from torchrl.modules import ProbabilisticActor
 
 from trl_explore.actor import frame_distribution
 from trl_explore.episodes import Episodes
-from trl_explore.strategies import Strategy
+from trl_explore.strategies import BaseStrategy, Strategy
 
 COLUMNS = (
     "entropy_policy", "entropy_behaviour", "kl", "ratio_mean", "effective_sample_size",
@@ -41,11 +41,14 @@ class Diagnostics:
                                a one-hot state, or a cube of width 0.1
         gradient_norm          ‖∂L/∂θ‖₂ of the trial's policy parameters
 
+    Over continuous actions the entropy of μ is the mean of −log μ(a|s), and the KL divergence that
+    of log μ(a|s) − log π(a|s); the greedy action is the mean of π, and greedy_share has no value.
+
     What has no value is nan: entropy_behaviour and kl without exact probabilities of every
     action, the ratios without "action_log_prob".
 
     Args:
-        actor: the target policy, over discrete actions.
+        actor: the target policy.
         strategy: the behaviour.
         trials: the number of trials.
         parameters: of the policy, each with the trials as dimension 0.
@@ -54,7 +57,7 @@ class Diagnostics:
     def __init__(
         self,
         actor: ProbabilisticActor,
-        strategy: Strategy,
+        strategy: BaseStrategy,
         trials: int,
         parameters: Iterable[nn.Parameter],
     ) -> None:
@@ -75,13 +78,35 @@ class Diagnostics:
         reward = data.get(("next", "reward")).squeeze(-1)
         episodes = Episodes(data, reward, done, trial, self.trials, 1.0)
         columns = {name: torch.full((self.trials,), torch.nan) for name in COLUMNS}
-        columns |= self._distributions(episodes) | self._greedy(episodes)
+        if self.strategy.actions == "continuous":
+            columns |= self._densities(episodes)
+        else:
+            columns |= self._distributions(episodes) | self._greedy(episodes)
         columns |= {"coverage": self._coverage(episodes), "gradient_norm": self._norms()}
         which = torch.from_numpy(active)
         table = torch.stack([columns[name].double()[which] for name in COLUMNS], 1)
         self._rows.append(table.numpy().astype(np.float32))
 
+    def _densities(self, episodes: Episodes) -> dict[str, Tensor]:
+        """What there is to say of continuous actions."""
+        data, action = episodes.tensordict, episodes.tensordict.get("action")
+        pi: Any = frame_distribution(self.actor, data)
+        log_pi, log_mu = pi.log_prob(action).double(), data.get("action_log_prob", None)
+        found = {
+            "entropy_policy": episodes.trial_mean(pi.entropy()),
+            "exploratory": episodes.trial_mean((action != pi.mean).any(-1).to(action.dtype)),
+        }
+        if log_mu is None:
+            return found
+        log_ratio = log_pi - log_mu.double()
+        return found | {
+            "entropy_behaviour": episodes.trial_mean(-log_mu),
+            "kl": episodes.trial_mean(-log_ratio),
+            **_ratios(episodes, log_ratio),
+        }
+
     def _distributions(self, episodes: Episodes) -> dict[str, Tensor]:
+        assert isinstance(self.strategy, Strategy)
         data, found = episodes.tensordict, {}
         pi: Any = frame_distribution(self.actor, data)
         log_pi = pi.logits
@@ -90,10 +115,7 @@ class Diagnostics:
         if behaviour is None:
             return found
         log_prob = log_pi.gather(-1, data.get("action").unsqueeze(-1)).squeeze(-1)
-        ratio = (log_prob.double() - behaviour.double()).exp()
-        mean = episodes.trial_mean(ratio)
-        found["ratio_mean"] = mean
-        found["effective_sample_size"] = mean**2 / episodes.trial_mean(ratio**2)
+        found |= _ratios(episodes, log_prob.double() - behaviour.double())
         logits = self.strategy.preferences(data, log_pi)
         log_mu = self.strategy.probs(logits, episodes.trial).log()
         found["entropy_behaviour"] = episodes.trial_mean(_entropy(log_mu))
@@ -137,24 +159,44 @@ class Diagnostics:
         return dict(zip(COLUMNS, table.T, strict=True))
 
     def state_dict(self) -> dict[str, Any]:
-        """The record, and the cells visited."""
+        """The cells visited; the record is in ``history``."""
         sizes = [len(cells) for cells in self.visited]
         cells = b"".join(cell for cells in self.visited for cell in sorted(cells))
         return {
             "cells": np.frombuffer(cells, dtype=np.int32).copy(),
             "sizes": np.array(sizes, dtype=np.int64),
-            "rows": np.concatenate([np.empty((0, len(COLUMNS)), np.float32), *self._rows]),
-            "counts": np.array([len(rows) for rows in self._rows], dtype=np.int64),
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on where ``state_dict`` was taken."""
         sizes = np.asarray(state["sizes"])
-        cells = np.asarray(state["cells"]).reshape(int(sizes.sum()), -1)
+        cells = np.asarray(state["cells"]).reshape(max(1, int(sizes.sum())), -1)
         parts = np.split(cells, np.cumsum(sizes)[:-1])
-        self.visited = [{row.tobytes() for row in part} for part in parts]
-        counts = np.asarray(state["counts"])
-        self._rows = np.split(np.asarray(state["rows"]), np.cumsum(counts)[:-1])
+        self.visited = [
+            {row.tobytes() for row in part[:size]}
+            for part, size in zip(parts, sizes.tolist(), strict=True)
+        ]
+
+    def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
+        """The record of the iterations after the first ``since``, up to and with ``until``."""
+        part = self._rows[since:until]
+        return {
+            "rows": np.concatenate([np.empty((0, len(COLUMNS)), np.float32), *part]),
+            "counts": np.array([len(rows) for rows in part], dtype=np.int64),
+        }
+
+    def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Append what ``history`` gave."""
+        if len(counts := columns["counts"]):
+            self._rows += np.split(columns["rows"], np.cumsum(counts)[:-1])
+
+
+def _ratios(episodes: Episodes, log_ratio: Tensor) -> dict[str, Tensor]:
+    """Of log ρ [frames]."""
+    ratio = log_ratio.exp()
+    mean = episodes.trial_mean(ratio)
+    size = mean**2 / episodes.trial_mean(ratio**2)
+    return {"ratio_mean": mean, "effective_sample_size": size}
 
 
 def _entropy(log_prob: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from trl_explore.baselines import Baseline, as_baseline
 from trl_explore.checks import check_integer, check_number
 from trl_explore.corrections import Correction, NoCorrection, log_ratio_of
 from trl_explore.episodes import Episodes
-from trl_explore.strategies import Strategy
+from trl_explore.strategies import BaseStrategy
 
 REDUCTIONS = ("sum", "mean", "none")
 EPS = 1e-8
@@ -121,7 +121,7 @@ class ReinforceLoss(LossModule):
         discount_steps: bool = False,
         normalize_advantage: bool = False,
         entropy_coeff: float = 0.0,
-        strategy: Strategy | None = None,
+        strategy: BaseStrategy | None = None,
         trials: int | None = None,
         reduction: str = "sum",
         functional: bool = True,

@@ -12,9 +12,10 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from trl_explore.checks import LARGEST, MAX_THREADS, check_integer
+from trl_explore.checks import LARGEST, MAX_THREADS, check_integer, check_number
 from trl_explore.config.base import ConfigError
 from trl_explore.config.checking import describe
+from trl_explore.config.kinds import check_actions
 
 if TYPE_CHECKING:
     from torch import nn
@@ -46,7 +47,7 @@ def build_trainer(config: DictConfig) -> Trainer:
     """
     from tensordict.nn import TensorDictSequential
 
-    from trl_explore.actor import SoftmaxActor
+    from trl_explore.actor import actor_of
     from trl_explore.compiled import lock_cache
     from trl_explore.diagnostics import Diagnostics
     from trl_explore.trainer import Trainer
@@ -55,6 +56,7 @@ def build_trainer(config: DictConfig) -> Trainer:
     lock_cache()
     for key, (low, high) in INTEGERS.items():
         _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))
+    _build(None, lambda: check_number("checkpoint_seconds", config.checkpoint_seconds, 0))
     trials = _build(
         None,
         lambda: Trials(
@@ -67,11 +69,12 @@ def build_trainer(config: DictConfig) -> Trainer:
     streams = {"seed": config.seed, "first_trial": config.first_trial}
     strategy = _instantiate(config, "strategy")()
     env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
+    check_actions(config, env.action_spec.domain)
     policy = _instantiate(config, "policy")(env=env, **streams)
     baseline = _instantiate(config, "baseline")()
     baseline.bind(env)
     optimizer = _instantiate(config, "optimizer")(_parameters(policy, baseline))
-    actor = SoftmaxActor(policy)
+    actor = actor_of(policy)
     loss = _instantiate(config, "loss")(
         actor,
         correction=_instantiate(config, "correction")(),
@@ -113,7 +116,7 @@ def _evaluator(config: DictConfig, policy: Any, strategy: Any) -> Evaluator | No
         return None
     streams = {"seed": config.seed, "first_trial": config.first_trial, "stream": Stream.EVALUATION}
     env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
-    greedy = TensorDictSequential(policy, strategy.greedy())
+    greedy = TensorDictSequential(policy, strategy.exploiting())
     collector = auto_collector(
         env,
         greedy,

@@ -10,7 +10,7 @@ from torchrl.modules import ProbabilisticActor
 
 from trl_explore.checks import check_number
 from trl_explore.episodes import Episodes
-from trl_explore.strategies import Strategy
+from trl_explore.strategies import BaseStrategy
 
 
 class NoCorrection:
@@ -28,7 +28,7 @@ class NoCorrection:
     """Whether it needs log μ(a|s), in "action_log_prob"."""
 
     def actor(
-        self, actor: ProbabilisticActor, strategy: Strategy | None = None
+        self, actor: ProbabilisticActor, strategy: BaseStrategy | None = None
     ) -> ProbabilisticActor:
         """The distribution whose score function the loss takes: π, or what stands in its place.
 
@@ -81,7 +81,7 @@ class ImportanceWeights(NoCorrection):
         self.self_normalize = self_normalize
 
     def actor(
-        self, actor: ProbabilisticActor, strategy: Strategy | None = None
+        self, actor: ProbabilisticActor, strategy: BaseStrategy | None = None
     ) -> ProbabilisticActor:
         """π, if the strategy states its exact probabilities."""
         if strategy is not None and not strategy.exact:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torch.distributions import Categorical
+from torch import Tensor
+from torch.distributions import Categorical, Distribution
 from torchrl.modules import ProbabilisticActor
 
 from trl_explore.corrections.base import NoCorrection
-from trl_explore.strategies import Strategy
+from trl_explore.strategies import BaseStrategy, ContinuousStrategy, Strategy
 
 
 class Behaviour(NoCorrection):
@@ -30,7 +31,7 @@ class Behaviour(NoCorrection):
     """
 
     def actor(
-        self, actor: ProbabilisticActor, strategy: Strategy | None = None
+        self, actor: ProbabilisticActor, strategy: BaseStrategy | None = None
     ) -> ProbabilisticActor:
         """μ, as a function of the parameters of π."""
         if strategy is None or not strategy.differentiable:
@@ -39,6 +40,9 @@ class Behaviour(NoCorrection):
                 f"{type(self).__name__} needs probabilities that are differentiable in the "
                 f"logits; {name} has none"
             )
+        if isinstance(strategy, ContinuousStrategy):
+            return ContinuousBehaviourActor(actor, strategy)
+        assert isinstance(strategy, Strategy)
         return BehaviourActor(actor, strategy)
 
 
@@ -57,6 +61,42 @@ class BehaviourActor(ProbabilisticActor):
             in_keys=["probs"],
             distribution_class=Categorical,
             distribution_kwargs={"validate_args": False},
+        )
+
+
+class ContinuousBehaviourActor(ProbabilisticActor):
+    """The density of μ(·|s) over continuous actions, whose parameters are those of the target.
+
+    Args:
+        actor: the target policy, whose first module writes "loc" and "scale".
+        strategy: states log μ for them; shared with the collector.
+    """
+
+    def __init__(self, actor: ProbabilisticActor, strategy: ContinuousStrategy) -> None:
+        super().__init__(
+            actor[0],  # pyright: ignore[reportArgumentType]
+            in_keys=["loc", "scale", "trial"],
+            distribution_class=_Density,
+            distribution_kwargs={"strategy": strategy},
+        )
+
+
+class _Density(Distribution):
+    """What a continuous strategy says of its density."""
+
+    def __init__(
+        self, loc: Tensor, scale: Tensor, trial: Tensor, strategy: ContinuousStrategy
+    ) -> None:
+        super().__init__(loc.shape[:-1], loc.shape[-1:], validate_args=False)
+        self.parameters, self.strategy = (loc, scale, trial), strategy
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        return self.strategy.log_prob(value, *self.parameters)
+
+    def entropy(self) -> Tensor:
+        raise ValueError(
+            f"the entropy of {type(self.strategy).__name__} has no formula; "
+            "correction=behaviour needs entropy_coeff=0 here"
         )
 
 

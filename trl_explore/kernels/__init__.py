@@ -41,22 +41,32 @@ What the functions are given and owe:
 * All that depends on the instance goes through ``parameters``, a tuple of numbers and arrays.
   Functions that close over values are refused. They may call further functions decorated with
   ``kernel_function``, also from other files.
+* Where the environment gives ``info["action_mask"]``, a fourth function
+  ``mask(parameters, state, mask)`` fills a bool array [n_actions]: ``Kernel(..., mask=mask)``.
+* An environment that is a table ``P[state][action]`` of outcomes needs no functions of its own:
+  ``tabular(env.P, env.initial_state_distrib)``.
 * The maker may refuse an instance with ``LookupError("why")``; the TorchRL collector then serves.
 """
 
-from trl_explore.kernels import cartpole, frozen_lake
+from trl_explore.kernels import acrobot, cartpole, cliff_walking, frozen_lake, mountain_car, taxi
 from trl_explore.kernels.base import Kernel, kernel_function, kernel_of, register_kernel
 from trl_explore.kernels.check import CompiledEnv, check_kernel
 from trl_explore.kernels.philox import random
+from trl_explore.kernels.tabular import tabular
 
 __all__ = [
     "CompiledEnv",
     "Kernel",
+    "acrobot",
     "cartpole",
     "check_kernel",
+    "cliff_walking",
     "frozen_lake",
     "kernel_function",
     "kernel_of",
+    "mountain_car",
     "random",
     "register_kernel",
+    "tabular",
+    "taxi",
 ]

@@ -39,6 +39,14 @@ class CompiledEnv:
         reward, terminated = self.kernel.step(self.kernel.parameters, self.state, action, self.rng)
         return self.observe(), reward, bool(terminated)
 
+    def mask(self) -> NDArray[np.bool_] | None:
+        """Which actions are allowed in the present state [n_actions]; None if all always are."""
+        if self.kernel.mask is None:
+            return None
+        mask = np.ones(self.kernel.n_actions, dtype=np.bool_)
+        self.kernel.mask(self.kernel.parameters, self.state, mask)
+        return mask
+
     def observe(self) -> NDArray[np.float32]:
         """The observation in the present state [n_features]."""
         observation = np.full(self.kernel.n_features, np.nan, dtype=np.float32)
@@ -61,7 +69,7 @@ def check_kernel(
         The number of transitions compared, and of episodes that terminated.
 
     Raises:
-        AssertionError: at the first observation, reward or termination that differs.
+        AssertionError: at the first observation, mask, reward or termination that differs.
         LookupError: if the environment has no kernel.
 
     Example:
@@ -78,22 +86,31 @@ def check_kernel(
     transitions = ends = 0
     for episode in range(episodes):
         env.unwrapped.np_random = generator(seed, Stream.ENVIRONMENT, 0, episode)
-        observation, _ = env.reset()
+        observation, info = env.reset()
         where = f"in episode {episode} at reset"
         np.testing.assert_array_equal(compiled.begin(episode), _flat(space, observation), where)
+        _assert_same_mask(compiled.mask(), info, where)
         for t in range(max_steps):
             action = int(actions.integers(n_actions))
-            observation, reward, terminated, _, _ = env.step(action)
+            observation, reward, terminated, _, info = env.step(action)
             ours, our_reward, our_terminated = compiled.step(action)
             where = f"in episode {episode} at step {t}, action {action}"
             np.testing.assert_array_equal(ours, _flat(space, observation), where)
             assert our_reward == reward, f"reward {our_reward}, not {reward}, {where}"
             assert our_terminated == terminated, f"terminated {our_terminated} {where}"
+            _assert_same_mask(compiled.mask(), info, where)
             transitions += 1
             if terminated:
                 ends += 1
                 break
     return transitions, ends
+
+
+def _assert_same_mask(ours: NDArray[np.bool_] | None, info: dict[str, Any], where: str) -> None:
+    theirs = info.get("action_mask")
+    assert (ours is None) == (theirs is None), f"mask {ours}, not {theirs}, {where}"
+    if ours is not None:
+        np.testing.assert_array_equal(ours, np.asarray(theirs, dtype=np.bool_), where)
 
 
 def _flat(space: gym.Space[Any], observation: Any) -> NDArray[np.float32]:

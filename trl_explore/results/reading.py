@@ -114,16 +114,15 @@ def read_episodes(job: Path) -> pd.DataFrame:
             raise ResultsError(f"{job / EPISODES}: column {name} is not of integers")
     if frame["score"].dtype.kind not in "fi" or not np.isfinite(frame["score"]).all():
         raise ResultsError(f"{job / EPISODES}: column score is not of finite numbers")
-    counted = frame.groupby(["trial", "iteration"])["frames"].agg(["size", "sum"]).reset_index()
-    of_trial = np.repeat(np.arange(len(trials["trial"])), trials["iterations"])
+    groups = frame.groupby(["trial", "iteration"])["frames"].agg(["size", "sum"]).reset_index()
+    trial, iteration, size, total = groups.to_numpy(dtype=np.int64).T
+    row = np.repeat(np.arange(len(trials["trial"])), trials["iterations"])
     begun = np.cumsum(trials["iterations"]) - trials["iterations"]
-    same = len(counted) == len(of_trial) and (
-        np.array_equal(counted["trial"], trials["trial"][of_trial])
-        and np.array_equal(counted["iteration"], np.arange(1, len(counted) + 1) - begun[of_trial])
-        and counted["size"].nunique() <= 1  # episodes of an iteration
-        and np.array_equal(
-            np.bincount(of_trial, weights=counted["sum"], minlength=len(begun)), trials["frames"]
-        )
+    same = (
+        np.array_equal(trial, trials["trial"][row])
+        and np.array_equal(iteration, np.arange(1, len(row) + 1) - begun[row])
+        and bool((size == size[:1]).all())  # episodes of an iteration
+        and np.array_equal(np.bincount(row, weights=total), trials["frames"])
     )
     if not same:
         raise ResultsError(f"{job / EPISODES}: its episodes are not those of {TRIALS}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import shutil
 from collections.abc import Callable, Mapping
@@ -41,7 +42,18 @@ def clear(job: Path) -> None:
     """Remove the results of a job, finished or not, from its folder; ``run.json`` first."""
     for name in (RUN, TRIALS, EPISODES, EVALUATIONS, WEIGHTS):
         (job / name).unlink(missing_ok=True)
-    shutil.rmtree(job / SCALARS, ignore_errors=True)
+    for temporary in job.glob(".*.tmp"):
+        if temporary.is_dir():
+            shutil.rmtree(temporary)
+        else:
+            temporary.unlink()
+    if (job / SCALARS).exists():
+        shutil.rmtree(job / SCALARS)
+
+
+def versions() -> dict[str, str]:
+    """What the bits of a result may depend on: Python and the packages, with their versions."""
+    return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}
 
 
 def write_job(
@@ -92,9 +104,10 @@ def write_job(
         "iterations": trials.iteration,
         "threads": _threads(),
         "config": config,
-        "versions": {"python": platform.python_version()} | {p: version(p) for p in PACKAGES},
+        "versions": versions(),
         "machine": {"system": platform.system(), "processor": platform.machine()},
     }
+    _sync(job)
     _write_text(job / RUN, json.dumps(run, indent=2) + "\n")
 
 
@@ -116,9 +129,19 @@ def _write_whole(path: Path, write: Callable[[Path], Any]) -> None:
     temporary = path.with_name(f".{path.name}.tmp")
     try:
         write(temporary)
+        _sync(temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    """Wait until the disk has the contents: a rename must not outlive a loss of power alone."""
+    place = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(place)
+    finally:
+        os.close(place)
 
 
 def _number(value: float) -> str:
@@ -174,6 +197,8 @@ def _write_scalars(job: Path, trials: Trials) -> None:
     for name, curve in trials.curves().items():
         for step, value in enumerate(curve.tolist(), start=1):
             logger.log_scalar(name, value, step=step)
+    for file in (parent / "curves" / "scalars").iterdir():
+        _sync(file)
     (parent / "curves" / "scalars").replace(job / SCALARS)
     shutil.rmtree(parent)
 

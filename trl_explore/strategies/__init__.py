@@ -2,6 +2,17 @@
 
 from trl_explore.strategies.argmax import Argmax
 from trl_explore.strategies.base import Strategy, inverse_cdf
+from trl_explore.strategies.common import BaseStrategy
+from trl_explore.strategies.continuous import (
+    ContinuousMixture,
+    ContinuousMixtureStrategy,
+    ContinuousStrategy,
+    EpsilonMean,
+    EpsilonUniform,
+    Gaussian,
+    MeanAction,
+    UniformAction,
+)
 from trl_explore.strategies.count_bonus import CountBonus
 from trl_explore.strategies.epsilon_greedy import DecayingEpsilonGreedy, EpsilonGreedy
 from trl_explore.strategies.epsilon_softmax import EpsilonSoftmax
@@ -17,19 +28,28 @@ from trl_explore.strategies.vdbe import VDBE
 __all__ = [
     "VDBE",
     "Argmax",
+    "BaseStrategy",
+    "ContinuousMixture",
+    "ContinuousMixtureStrategy",
+    "ContinuousStrategy",
     "CountBonus",
     "DecayingEpsilonGreedy",
     "EpsilonGreedy",
+    "EpsilonMean",
     "EpsilonSoftmax",
+    "EpsilonUniform",
     "EpsilonZGreedy",
     "FullMixture",
+    "Gaussian",
     "MaxBoltzmann",
+    "MeanAction",
     "Mixture",
     "MixtureStrategy",
     "ParameterNoise",
     "Random",
     "Softmax",
     "Strategy",
+    "UniformAction",
     "inverse_cdf",
     "mixture_probs",
 ]

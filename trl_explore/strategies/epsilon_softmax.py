@@ -31,6 +31,8 @@ class EpsilonSoftmax(MixtureStrategy):
         tensor([0.3000, 0.7000])
     """
 
+    differentiable = True
+
     def __init__(
         self,
         epsilon: float | Sequence[float] | Schedule = 0.1,

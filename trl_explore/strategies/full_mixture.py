@@ -53,6 +53,11 @@ class FullMixture(MixtureStrategy):
         self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
         self.mixture()
 
+    @property
+    def differentiable(self) -> bool:
+        """Whether the argmax has no share, in any iteration."""
+        return self.greedy.bounds[1] == 0
+
     def mixture(self) -> Mixture:
         """The weights divided by their sum."""
         weights = [w(self.iteration) for w in (self.greedy, self.softmax, self.uniform)]

@@ -158,13 +158,14 @@ class ParameterNoise(MixtureStrategy):
 
     def _logits(self, parameters: Parameters, tensordict: TensorDictBase) -> Tensor:
         policy = self._policy[0]
-        given = tensordict.select(*policy.in_keys)
+        given = tensordict.select(*policy.in_keys, strict=False)
         with torch.no_grad():
             return functional_call(policy, parameters, (given,)).get(self.logits_key)
 
-    def behaviour_weight(self, weight: Tensor) -> Tensor:
-        """The perturbed weights."""
-        return next(iter(self._perturbed.values()))
+    def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
+        """The perturbed ones."""
+        names = {id(parameter): name for name, parameter in self._policy[0].named_parameters()}
+        return [self._perturbed[names[id(parameter)]] for parameter in parameters]
 
     def step(self, data: TensorDictBase | None = None) -> None:
         """Adapt σ."""

@@ -1,0 +1,147 @@
+"""One gymnasium environment, checked; whatever is wrong with its arguments is one line."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from numbers import Real
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from trl_explore.checks import check_integer, check_number, first_line
+
+EXTRAS = {"gymnasium.envs.box2d": "box2d"}
+"""Module of an environment -> the extra of this package that installs what it needs."""
+
+
+def make_gym(
+    id: str,
+    max_steps: int | None = None,
+    kwargs: Mapping[str, Any] | None = None,
+    attributes: Mapping[str, Any] | None = None,
+) -> gym.Env:
+    """One gymnasium environment with a vector as observation, and Discrete or Box actions.
+
+    A Box observation is flattened, a Discrete one becomes one-hot; both are float32.
+
+    Args:
+        id: gymnasium id.
+        max_steps: time limit of an episode in steps; None takes the one that gymnasium registers.
+        kwargs: arguments of the environment's constructor.
+        attributes: numbers, flags and texts of the built environment to replace, for constants
+            that its constructor does not take. What the constructor has computed from them
+            keeps its value.
+
+    Raises:
+        ValueError: if the id is unknown, a package is not installed, an argument is refused, an
+            attribute does not exist, or the spaces are not of the supported kinds.
+
+    Example:
+        >>> env = make_gym("CartPole-v1", attributes={"theta_threshold_radians": 0.26})
+        >>> env.unwrapped.theta_threshold_radians
+        0.26
+    """
+    if max_steps is not None:
+        check_integer("max_steps", max_steps, 1, 10**9)
+    env = _construct(id, max_steps, dict(kwargs or {}))
+    for name, value in (attributes or {}).items():
+        _set_attribute(env.unwrapped, id, name, value)
+    _check_actions(id, env.action_space)
+    space = env.observation_space
+    if isinstance(space, spaces.Discrete) or (
+        isinstance(space, spaces.Box) and len(space.shape) != 1
+    ):
+        env = gym.wrappers.FlattenObservation(env)  # one-hot, or the array as a vector
+    elif not isinstance(space, spaces.Box):
+        raise ValueError(
+            f"environment {id!r} has observation space {space}; Box or Discrete is needed"
+        )
+    if env.observation_space.dtype != np.float32:
+        env = gym.wrappers.DtypeObservation(env, np.float32)
+    return env
+
+
+def _check_actions(id: str, space: spaces.Space[Any]) -> None:
+    if isinstance(space, spaces.Discrete):
+        if space.start != 0:
+            raise ValueError(f"environment {id!r} numbers its actions from {space.start}")
+    elif not (
+        isinstance(space, spaces.Box)
+        and len(space.shape) == 1
+        and np.issubdtype(space.dtype, np.floating)
+    ):
+        raise ValueError(
+            f"environment {id!r} has action space {space}; "
+            "Discrete, or a Box with one dimension of floats, is needed"
+        )
+
+
+def _construct(id: str, max_steps: int | None, kwargs: dict[str, Any]) -> gym.Env:
+    """Build it; an error of its constructor, whatever it is, becomes one line."""
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            # Box2D's bindings crash the interpreter where this warning of theirs is an error.
+            warnings.filterwarnings("ignore", "builtin type [Ss]wig", DeprecationWarning)
+            env = gym.make(id, max_episode_steps=max_steps, disable_env_checker=True, **kwargs)
+    except gym.error.DependencyNotInstalled as error:
+        raise ValueError(f"environment {id!r} needs a package: {_remedy(id, error)}") from error
+    except (gym.error.Error, ModuleNotFoundError) as error:
+        raise ValueError(f"unknown environment id {id!r}: {first_line(error)}") from error
+    except Exception as error:
+        raise ValueError(
+            f"environment {id!r} refuses its arguments: {type(error).__name__}: {first_line(error)}"
+        ) from error
+    for warning in caught:
+        warnings.warn(warning.message, warning.category, stacklevel=2)
+    return env
+
+
+def _remedy(id: str, error: Exception) -> str:
+    """How to install what an environment lacks."""
+    entry = str(gym.spec(id).entry_point)
+    for module, extra in EXTRAS.items():
+        if entry.startswith(module):
+            return f"pip install 'trl_explore[{extra}]'"
+    return first_line(error)
+
+
+def _set_attribute(env: gym.Env, id: str, name: str, value: Any) -> None:
+    """Replace an attribute by a value of the same kind.
+
+    Raises:
+        ValueError: if there is none, or it is of another kind.
+    """
+    old = getattr(env, str(name), None)
+    kinds = (bool, Real, str)
+    kind = next((kind for kind in kinds if isinstance(old, kind)), None)
+    if kind is None:
+        raise ValueError(f"environment {id!r} has no number, flag or text {str(name)!r} to set")
+    if kind is Real:
+        value = check_number(f"the attribute {name} of {id!r}", value)
+        value = int(value) if isinstance(old, int) and value.is_integer() else value
+    elif not isinstance(value, kind):
+        raise ValueError(
+            f"the attribute {name} of {id!r} must be {'true or false' if kind is bool else 'text'},"
+            f" got {value!r}"
+        )
+    setattr(env, name, value)
+
+
+def reward_threshold(id: str) -> float | None:
+    """The mean score at which gymnasium calls an environment solved; None if it registers none.
+
+    Raises:
+        ValueError: if the id is unknown.
+
+    Example:
+        >>> reward_threshold("Acrobot-v1")
+        -100.0
+    """
+    try:
+        threshold = gym.spec(id).reward_threshold
+    except (gym.error.Error, ModuleNotFoundError) as error:
+        raise ValueError(f"unknown environment id {id!r}: {first_line(error)}") from error
+    return None if threshold is None else float(threshold)
