@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.analysis.outcomes import STATUSES, Outcomes
+from trl_explore.checks import first_line
 from trl_explore.results.names import (
     CONFIG_KEYS,
     EPISODE_COLUMNS,
@@ -180,14 +181,14 @@ def read_curves(job: Path) -> pd.DataFrame:
         raise ResultsError(f"{job / SCALARS}: no learning curves")
     curves = {}
     for file in files:
-        try:
-            table = pd.read_csv(file, header=None, names=["iteration", "value"], index_col=0)
-            curves[file.stem] = table["value"].astype(float)
-        except (OSError, ValueError) as error:
-            raise ResultsError(f"{file}: not readable as a curve ({error})") from None
+        columns = read_table(file, {"iteration": integers, "value": numbers}, header=False)
+        if not np.array_equal(columns["iteration"], np.arange(1, len(columns["value"]) + 1)):
+            raise ResultsError(f"{file}: its iterations do not follow each other")
+        curves[file.stem] = columns["value"]
     if len({len(curve) for curve in curves.values()}) > 1:
         raise ResultsError(f"{job / SCALARS}: the curves are not of the same length")
-    return pd.DataFrame(curves)
+    index = pd.RangeIndex(1, 1 + len(next(iter(curves.values()))), name="iteration")
+    return pd.DataFrame(curves, index=index)
 
 
 def _read_csv(path: Path, columns: Iterable[str]) -> pd.DataFrame:
@@ -198,7 +199,7 @@ def _read_csv(path: Path, columns: Iterable[str]) -> pd.DataFrame:
     except FileNotFoundError:
         raise ResultsError(f"{path}: missing") from None
     except (OSError, ValueError) as error:
-        raise ResultsError(f"{path}: not readable as CSV ({str(error).splitlines()[0]})") from None
+        raise ResultsError(f"{path}: not readable as CSV ({first_line(error)})") from None
     missing = [name for name in columns if name not in frame.columns]
     if missing:
         raise ResultsError(f"{path}: no column {', '.join(missing)}")

@@ -73,18 +73,25 @@ def _shown(text: str) -> str:
     return repr(text if len(text) <= 30 else f"{text[:27]}...")
 
 
-def read_table(path: Path, parsers: Mapping[str, Parser]) -> dict[str, NDArray[Any]]:
+def read_table(
+    path: Path, parsers: Mapping[str, Parser], *, header: bool = True
+) -> dict[str, NDArray[Any]]:
     """The columns of a table, each read by its parser; other columns are left alone.
 
     Args:
         path: the file.
         parsers: name of a column -> what turns its texts [n] into an array [n], or raises
             ValueError saying what is wrong with them.
+        header: whether the first line names the columns; if not, they are those of ``parsers``.
 
     Raises:
         ResultsError: if the file is missing, cut off, or not such a table.
     """
-    names, rows = _fields(path)
+    rows = _fields(path)
+    names = rows.pop(0) if header else list(parsers)
+    for number, fields in enumerate(rows, start=1 + header):
+        if len(fields) != len(names):
+            raise ResultsError(f"{path}: line {number} has {len(fields)} fields, not {len(names)}")
     missing = [name for name in parsers if name not in names]
     if missing:
         raise ResultsError(f"{path}: no column {', '.join(missing)}")
@@ -101,8 +108,8 @@ def read_table(path: Path, parsers: Mapping[str, Parser]) -> dict[str, NDArray[A
     return columns
 
 
-def _fields(path: Path) -> tuple[list[str], list[list[str]]]:
-    """The names of the columns, and the fields of every line below them."""
+def _fields(path: Path) -> list[list[str]]:
+    """The fields of every line."""
     try:
         text = path.read_bytes().decode()
     except FileNotFoundError:
@@ -113,10 +120,4 @@ def _fields(path: Path) -> tuple[list[str], list[list[str]]]:
         raise ResultsError(f"{path}: not readable as CSV (it is not UTF-8)") from None
     if not text.endswith("\n"):
         raise ResultsError(f"{path}: cut off, its last line has no end")
-    first, *others = (line.removesuffix("\r").split(",") for line in text[:-1].split("\n"))
-    for number, fields in enumerate(others, start=2):
-        if len(fields) != len(first):
-            raise ResultsError(
-                f"{path}: line {number} has {len(fields)} fields, the first one has {len(first)}"
-            )
-    return first, others
+    return [line.removesuffix("\r").split(",") for line in text[:-1].split("\n")]
