@@ -26,10 +26,22 @@ from trl_explore.config import (
     job_name,
     resolved,
 )
+from trl_explore.config.kinds import options
 
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 FILES = [(group, path.stem) for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
-MANDATORY = {("env", "gym"): ["env.id=Acrobot-v1", "env.max_steps=20"]}
+MANDATORY = {
+    ("env", "gym"): ["env.id=Acrobot-v1", "env.max_steps=20"],
+    ("policy", "tabular"): ["env=gym", "env.id=FrozenLake-v1"],
+}
+PENDULUM = ["env=gym", "env.id=Pendulum-v1", "env.max_steps=20"]
+MANDATORY |= {
+    ("policy", name): [*PENDULUM, "strategy=gaussian"] for name in options("policy", "continuous")
+}
+MANDATORY |= {
+    ("strategy", name): [*PENDULUM, "policy=gaussian_linear"]
+    for name in options("strategy", "continuous")
+}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -273,7 +285,7 @@ def test_a_long_name_is_short_and_still_its_own():
         ("+loss.gama=1", r"unknown key 'loss.gama'; loss=reinforce has: .*gamma"),
         ("+env.steps=1", r"unknown key 'env.steps'; env=cartpole has: id, kwargs, max_iter"),
         ("+optimizer.betas=[0,0]", r"unknown key 'optimizer.betas'; optimizer=adam has: lr"),
-        ("+policy.bias=true", r"unknown key 'policy.bias'; policy=linear has: no keys"),
+        ("+policy.bias=true", r"unknown key 'policy.bias'; policy=linear has: init"),
     ],
 )
 def test_keys_that_do_not_exist(override, message):
@@ -407,7 +419,7 @@ WRONG = [
     (("loss.reduction=max",), "loss: reduction must be one of sum, mean, none, got 'max'"),
     (("env.max_steps=0",), "env: max_steps must be an integer >= 1, got 0"),
     (("env.id=NoSuch-v0",), "env: unknown environment id 'NoSuch-v0'"),
-    (("env.id=Pendulum-v1",), "env: environment 'Pendulum-v1' has action space Box"),
+    (("env.id=Pendulum-v1",), "continuous actions, not served by Softmax and LinearPolicy"),
     (("env.id=Blackjack-v1",), "env: environment 'Blackjack-v1' has observation space Tuple"),
     (
         ("env.id=CliffWalking-v1", "env.max_steps=null"),
