@@ -40,6 +40,7 @@ def train(config: DictConfig, folder: Path) -> None:
     """Run a job into its folder, unless it is there already."""
     choices = configuration.current_choices()
     configuration.check_keys(config, choices)
+    configuration.fill_threshold(config)
     values = configuration.resolved(config)
 
     from trl_explore import results

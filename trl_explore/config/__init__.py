@@ -10,6 +10,7 @@ from trl_explore.config.building import (
     build_trainer,
     current_choices,
     current_folder,
+    fill_threshold,
     is_multirun,
     save_hydra,
 )
@@ -27,6 +28,7 @@ __all__ = [
     "current_folder",
     "describe",
     "differences",
+    "fill_threshold",
     "first_line",
     "is_multirun",
     "job_name",

@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 GROUPS = ("env", "policy", "strategy", "loss", "optimizer", "collector")
-INERT = ("output_dir", "restart", "threads", "episodes", "collector.threads")
+INERT = ("output_dir", "restart", "threads", "episodes", "collector.threads", "env.workers")
 """Keys that change no result: they are not part of a job's name or identity."""
 
 
