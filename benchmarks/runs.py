@@ -23,7 +23,7 @@ from trl_explore.collectors import FusedCollector, TorchRLCollector
 from trl_explore.envs import make_env
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.optim import LaneAdam
-from trl_explore.policy import LinearPolicy
+from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import (
     Argmax,
     DecayingEpsilonGreedy,

@@ -5,8 +5,15 @@ from __future__ import annotations
 import logging
 import os
 import sys
-import time
+import traceback
+from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trl_explore.signals import Interrupted, Interrupts, leave_on_signals, raise_on_signals
+
+if __name__ == "__main__":
+    leave_on_signals()
 
 import hydra
 from hydra.errors import HydraException
@@ -14,9 +21,19 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
+from trl_explore import results
+from trl_explore.checkpoint import FOLDER as CHECKPOINT
+from trl_explore.checkpoint import Checkpoint, Store
 from trl_explore.config import CONF, ConfigError
-from trl_explore.results import ResultsError
+from trl_explore.locks import Lock
+from trl_explore.resume import find
 
+if TYPE_CHECKING:
+    from trl_explore.trials import Trials
+
+EXPECTED = (ValueError, OmegaConfBaseException, OSError, MemoryError)
+"""Errors whose message says enough; before others stands their type."""
+show_traceback = bool(os.environ.get("HYDRA_FULL_ERROR"))
 finished: list[Path] = []
 failed: list[str] = []
 
@@ -28,12 +45,16 @@ def run(config: DictConfig) -> None:
     try:
         train(config, folder)
         finished.append(folder)
-    except (ConfigError, ResultsError, OmegaConfBaseException, OSError, MemoryError) as error:
-        if not any(folder.iterdir()):
-            folder.rmdir()
+    except Exception as error:  # whatever ends a job, the others of the sweep are run
+        with suppress(OSError):
+            folder.rmdir()  # only if nothing is in it
         line = configuration.describe(error)
+        if not isinstance(error, EXPECTED):
+            line = f"{type(error).__name__}: {line}"
         failed.append(f"{folder.name}: {line}" if configuration.is_multirun() else line)
         print(f"error: {failed[-1]}", file=sys.stderr)
+        if show_traceback:
+            traceback.print_exc()
 
 
 def train(config: DictConfig, folder: Path) -> None:
@@ -42,58 +63,117 @@ def train(config: DictConfig, folder: Path) -> None:
     configuration.check_keys(config, choices)
     configuration.fill_threshold(config)
     values = configuration.resolved(config)
-
-    from trl_explore import results
-
     if results.is_finished(folder) and not config.restart:
-        differences = configuration.differences(results.read_run(folder)["config"], values)
-        if differences:
-            raise ConfigError(
-                f"{folder} holds a job of another configuration ({'; '.join(differences)}); "
-                "restart=true begins anew"
-            )
-        print(f"{folder.name}: finished before, nothing to do (restart=true begins anew)")
+        leave_finished(folder, values)
         return
 
+    lock = Lock(folder)
+    with lock, Interrupts(lock.release) as interrupts:
+        if results.is_finished(folder) and not config.restart:  # by now
+            leave_finished(folder, values)
+            return
+        store, checkpoint = (Store(folder), None) if config.restart else find(folder)
+        if checkpoint is not None:
+            check_same(folder, checkpoint.header, values)
+        train_from(config, folder, values, store, checkpoint, interrupts)
+
+
+def leave_finished(folder: Path, values: dict[str, Any]) -> None:
+    """Say that a job is finished, and remove what a kill in its last moment left there."""
+    differences = configuration.differences(results.read_run(folder)["config"], values)
+    if differences:
+        raise ConfigError(
+            f"{folder} holds a job of another configuration ({'; '.join(differences)}); "
+            "restart=true begins anew"
+        )
+    if (folder / CHECKPOINT).exists():
+        with suppress(OSError), Lock(folder):
+            Store(folder).clear()
+    print(f"{folder.name}: finished before, nothing to do (restart=true begins anew)")
+
+
+def check_same(folder: Path, header: dict[str, Any], values: dict[str, Any]) -> None:
+    """Refuse to go on from a checkpoint of another configuration, or of other packages."""
+    differences = configuration.differences(header["config"], values)
+    differences += configuration.differences(header["versions"], results.versions(), "versions.")
+    if differences:
+        raise ConfigError(
+            f"{folder} holds an unfinished job of another configuration "
+            f"({'; '.join(differences)}); restart=true begins anew"
+        )
+
+
+def train_from(
+    config: DictConfig,
+    folder: Path,
+    values: dict[str, Any],
+    store: Store,
+    checkpoint: Checkpoint | None,
+    interrupts: Interrupts,
+) -> None:
+    """Train from a checkpoint, or from the beginning, and write the results."""
     import torch
 
     from trl_explore.console import Progress
+    from trl_explore.resume import Saver, restore
     from trl_explore.threads import set_threads
 
+    choices = configuration.current_choices()
     trainer = configuration.build_trainer(config)
     torch.set_num_threads(1)
     set_threads(config.threads)
+    if checkpoint is not None:
+        restore(trainer, checkpoint)
+    header = {"config": values, "versions": results.versions()}
+    saver = Saver(store, trainer, header, interrupts, seconds=config.checkpoint_seconds)
+    if checkpoint is None:
+        store.clear()
     results.clear(folder)
     configuration.save_hydra(folder, config)
-    progress = Progress(folder.name)
-    trainer.on_iteration = progress
-    started = time.perf_counter()
+    progress = Progress(folder.name, begun=trainer.trials)
+
+    def on_iteration(trials: Trials) -> None:
+        progress(trials)
+        saver(trials)
+
+    trainer.on_iteration = on_iteration
     try:
-        trials = trainer.run()
+        with interrupts.deferred():
+            interrupts.check()
+            trials = trainer.run()
+            progress.close()
+            results.write_job(
+                folder,
+                trials,
+                dict(trainer.collector.policy[0].named_parameters()),
+                config=values,
+                experiment=choices.get("experiment") or "train",
+                strategy=str(choices["strategy"]),
+                collector=type(trainer.collector).__name__,
+                seconds=trainer.seconds,
+                episodes=config.episodes,
+                evaluator=trainer.evaluator,
+                diagnostics=trainer.diagnostics,
+            )
+    except Interrupted as error:
+        saver.rescue()
+        error.where = f" at iteration {saver.saved} of {folder.name}" if saver.saved else ""
+        raise
     finally:
         progress.close()
         trainer.collector.shutdown()
-    results.write_job(
-        folder,
-        trials,
-        dict(trainer.collector.policy[0].named_parameters()),
-        config=values,
-        experiment=choices.get("experiment") or "train",
-        strategy=str(choices["strategy"]),
-        collector=type(trainer.collector).__name__,
-        seconds=time.perf_counter() - started,
-        episodes=config.episodes,
-    )
+    store.clear()
+    interrupts.check()
 
 
 def main() -> int:
     """Run Hydra; anything that the user did wrong is one line on stderr, and status 1."""
-    show_traceback = bool(os.environ.get("HYDRA_FULL_ERROR"))
     logging.basicConfig(format="%(message)s", stream=sys.stderr)
     logging.getLogger("trl_explore").setLevel(logging.INFO)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # hand errors over instead of printing tracebacks
     configuration.register_resolvers()
     try:
+        raise_on_signals()
         run()
         if finished:
             show(finished)
@@ -102,11 +182,13 @@ def main() -> int:
             raise
         print(f"error: {configuration.describe(error)}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print("interrupted; finished jobs are kept, the same command goes on", file=sys.stderr)
-        return 130
-    if failed and finished:
-        print(f"{len(failed)} of {len(failed) + len(finished)} jobs failed", file=sys.stderr)
+    except Interrupted as error:
+        print(f"{error}{error.where}; the same command goes on", file=sys.stderr)
+        return error.status
+    if len(failed) + len(finished) > 1 and failed:
+        print(f"{len(failed)} of {len(failed) + len(finished)} jobs failed:", file=sys.stderr)
+        for line in failed:
+            print(f"  {line}", file=sys.stderr)
     return 1 if failed else 0
 
 

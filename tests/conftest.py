@@ -53,7 +53,7 @@ def build_trainer(
     from trl_explore.envs import make_env
     from trl_explore.objectives import ReinforceLoss
     from trl_explore.optim import LaneAdam
-    from trl_explore.policy import LinearPolicy
+    from trl_explore.policies import LinearPolicy
     from trl_explore.trainer import Trainer
     from trl_explore.trials import Trials
 

@@ -485,11 +485,8 @@ def test_one_wrong_job_does_not_stop_a_sweep(run_many, tmp_path):
         cwd=tmp_path,
     )  # fmt: skip
     assert ran.returncode == 1
-    error, count = complaints(ran)
-    assert error == (
-        "error: epsilon_greedy,epsilon=2.0: strategy: epsilon must be a number in [0, 1], got 2"
-    )
-    assert count == "1 of 3 jobs failed"
+    reason = "epsilon_greedy,epsilon=2.0: strategy: epsilon must be a number in [0, 1], got 2"
+    assert complaints(ran) == [f"error: {reason}", "1 of 3 jobs failed:", f"  {reason}"]
     finished = {path.parent.name for path in results_below(tmp_path) if path.name == "run.json"}
     assert finished == {"epsilon_greedy,epsilon=0.1", "epsilon_greedy,epsilon=0.4"}
     assert len(ran.stdout.splitlines()) == 5  # header, rule, two jobs, place

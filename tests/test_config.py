@@ -57,7 +57,7 @@ def name(*overrides: str) -> str:
 
 def test_every_folder_of_conf_is_a_group():
     folders = {path.name for path in CONF.iterdir() if path.is_dir()}
-    assert folders - {"hydra"} == {*GROUPS, "experiment"}
+    assert folders - {"hydra"} == {*GROUPS, "experiment", "schedule"}
 
 
 @pytest.mark.parametrize(("group", "option"), FILES)

@@ -16,7 +16,7 @@ from torchrl.objectives import ReinforceLoss as TorchRLReinforceLoss
 from trl_explore.actor import SoftmaxActor
 from trl_explore.envs import make_env
 from trl_explore.objectives import ReinforceLoss
-from trl_explore.policy import LinearPolicy
+from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import Softmax
 
 KINDS = ["torch", "ours", "linear"]
@@ -135,7 +135,12 @@ def test_value_and_gradient_by_hand(kind, functional, dtype, env):
 def test_defaults_are_those_of_the_thesis(env):
     actor, _ = tabular("linear", env)
     loss = ReinforceLoss(actor)
-    assert (loss.gamma, loss.weight, loss.baseline, loss.reduction) == (0.99, 0.05, 0.0, "sum")
+    assert (loss.gamma, loss.weight, loss.baseline.value, loss.reduction) == (
+        0.99,
+        0.05,
+        0.0,
+        "sum",
+    )
     # Two frames of reward 1: G = 1.99 and 1.
     out = loss(episode([1, 0], [1.0, 1.0]))["loss_actor"]
     expected = -0.05 * (1.99 * math.log(0.75) + math.log(0.25))

@@ -12,7 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.actor import SoftmaxActor, SoftmaxCategorical
 from trl_explore.envs import make_env
-from trl_explore.policy import (
+from trl_explore.policies import (
     LaneLinear,
     LinearPolicy,
     glorot_uniform,

@@ -4,8 +4,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from torch.nn import Parameter
+from torch.optim import SGD
+from torch.optim.lr_scheduler import CosineAnnealingLR
 
-from trl_explore.schedules import Constant, Exponential, Linear, Schedule, as_schedule
+from trl_explore.schedules import (
+    Constant,
+    Cosine,
+    Exponential,
+    Inverse,
+    Linear,
+    Piecewise,
+    Schedule,
+    as_schedule,
+)
 
 INFINITY = math.inf
 unit = st.floats(0, 1)
@@ -84,11 +96,86 @@ def test_exponential_refuses(decay):
         Exponential(1.0, decay)
 
 
+def test_cosine_by_hand():
+    # cos 60° = 1/2 and cos 120° = -1/2
+    schedule = Cosine(5.0, 1.0, iterations=3)
+    np.testing.assert_allclose([schedule(i) for i in range(5)], [5, 4, 2, 1, 1], rtol=1e-15)
+    assert schedule.bounds == (1.0, 5.0)
+
+
+def test_cosine_is_that_of_torch():
+    optimizer = SGD([Parameter()], lr=0.7)
+    other = CosineAnnealingLR(optimizer, T_max=17, eta_min=0.1)
+    for i in range(18):
+        assert Cosine(0.7, 0.1, 17)(i) == pytest.approx(other.get_last_lr()[0], rel=1e-12)
+        optimizer.step()
+        other.step()
+
+
+def test_inverse_by_hand():
+    assert [Inverse(1.0, 0.5)(i) for i in (0, 2, 6)] == [1.0, 0.5, 0.25]
+    assert [Inverse(6.0, 1.0, power=2)(i) for i in (0, 1, 2)] == [6.0, 1.5, 6 / 9]
+    assert [Inverse(2.0, 0.0)(i) for i in (0, 5)] == [2.0, 2.0]
+    assert Inverse(2.0, 0.0).bounds == (2.0, 2.0)
+    assert Inverse(2.0, 0.1).bounds == (0.0, 2.0)
+    assert 0 <= Inverse(1.0, 1e300, power=50)(10**6) < 1e-300
+
+
+def test_piecewise_by_hand():
+    schedule = Piecewise([[2, 1.0], [4, 0.0], [5, 3.0]])
+    assert [schedule(i) for i in range(8)] == [1.0, 1.0, 1.0, 0.5, 0.0, 3.0, 3.0, 3.0]
+    assert schedule.bounds == (0.0, 3.0)
+    assert [Piecewise([(3, 0.2)])(i) for i in (0, 3, 9)] == [0.2] * 3
+
+
+@pytest.mark.parametrize(
+    ("knots", "message"),
+    [
+        ([], "knots must be pairs"),
+        (3, "knots must be pairs"),
+        ("ab", "knots must be pairs"),
+        ([1, 2], "a knot must be a pair"),
+        ([[1, 2, 3]], "a knot must be a pair"),
+        (["ab"], "a knot must be a pair"),
+        ([[-1, 0.5]], "iteration of a knot must be"),
+        ([[0.5, 0.5]], "iteration of a knot must be"),
+        ([[0, math.nan]], "value must be"),
+        ([[0, 1.0], [5, 0.5], [5, 0.1]], "must ascend, got"),
+    ],
+)
+def test_piecewise_refuses(knots, message):
+    with pytest.raises(ValueError, match=message):
+        Piecewise(knots)
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "name"),
+    [
+        (Cosine, (math.nan, 0.0, 4), "initial"),
+        (Cosine, (0.0, 1.0, 0), "iterations"),
+        (Inverse, (math.inf, 1.0), "initial"),
+        (Inverse, (1.0, -0.1), "rate"),
+        (Inverse, (1.0, 0.1, 0), "power"),
+    ],
+)
+def test_cosine_and_inverse_refuse(kind, arguments, name):
+    with pytest.raises(ValueError, match=f"^{name} must be"):
+        kind(*arguments)
+
+
 @given(unit, unit, st.integers(1, 100), iterations)
 def test_no_schedule_leaves_its_bounds(a, b, length, i):
-    for schedule in (Constant(a), Linear(a, b, length), Exponential(a, b)):
+    knots = [(0, a), (length, b), (2 * length, a)]
+    for schedule in (
+        *(Constant(a), Linear(a, b, length), Exponential(a, b)),
+        *(Cosine(a, b, length), Inverse(a, b), Inverse(a, b, 0.5), Piecewise(knots)),
+    ):
         low, high = schedule.bounds
-        assert low - 1e-12 <= schedule(i) <= high + 1e-12
+        assert low <= schedule(i) <= high
+
+
+def test_schedules_show_what_they_are():
+    assert repr(Linear(1.0, 0.5, 10)) == "Linear(initial=1.0, final=0.5, iterations=10)"
 
 
 def test_as_schedule_of_a_number_and_of_a_list():

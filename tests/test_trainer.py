@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +11,15 @@ from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch.optim import Adam
 
+from trl_explore.config import CONF
+from trl_explore.config.kinds import options
+from trl_explore.episodes import outcomes
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.optim import LaneAdam, LaneOptimizer, torch_adam
-from trl_explore.policy import glorot_uniform
+from trl_explore.policies import glorot_uniform
 from trl_explore.strategies import Argmax, DecayingEpsilonGreedy, EpsilonGreedy, Softmax
-from trl_explore.trainer import outcomes
 
-FILES = sorted((Path(__file__).parent.parent / "conf" / "strategy").glob("*.yaml"))
+FILES = [CONF / "strategy" / f"{name}.yaml" for name in options("strategy", "discrete")]
 
 
 def weights(trainer) -> torch.Tensor:

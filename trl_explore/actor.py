@@ -15,10 +15,16 @@ from tensordict.nn import (
 from torch import Tensor
 from torch.distributions import Categorical as TorchCategorical
 from torch.distributions import Distribution
-from torchrl.modules import ProbabilisticActor
+from torchrl.modules import IndependentNormal, ProbabilisticActor
 
-from trl_explore.ops import categorical_log_prob, lane_sum, linear_softmax_score
-from trl_explore.policy import LinearPolicy
+from trl_explore.ops import (
+    categorical_log_prob,
+    gaussian_entropy,
+    gaussian_log_prob,
+    lane_sum,
+    linear_softmax_score,
+)
+from trl_explore.policies import LinearPolicy
 
 
 class SoftmaxCategorical(TorchCategorical):
@@ -87,6 +93,98 @@ class SoftmaxActor(ProbabilisticActor):
         )
 
 
+class DiagonalGaussian(IndependentNormal):
+    """π = N(loc, diag(scale²)); like TorchRL's ``IndependentNormal``, each sum in a fixed order.
+
+    Args:
+        loc: [*batch, n_dims].
+        scale: [*batch, n_dims], > 0.
+    """
+
+    def __init__(self, loc: Tensor, scale: Tensor) -> None:
+        super().__init__(loc, scale, validate_args=False)
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        """Log density [*batch] of ``value`` [*batch, n_dims], which broadcasts."""
+        normal = self.base_dist
+        return gaussian_log_prob(*torch.broadcast_tensors(value, normal.loc, normal.scale))
+
+    def entropy(self) -> Tensor:
+        """Differential entropy [*batch] (nats): that of π without the clipping of actions."""
+        return gaussian_entropy(self.base_dist.scale)
+
+
+class GaussianActor(ProbabilisticActor):
+    """The target policy π = N(loc, diag(scale²)) over a module that writes "loc" and "scale".
+
+    As ``SoftmaxActor``, it shares its parameters with ``policy`` and serves the loss.
+
+    Args:
+        policy: a module that writes "loc" and "scale" [*batch, n_dims].
+    """
+
+    def __init__(self, policy: TensorDictModule) -> None:
+        super().__init__(policy, in_keys=["loc", "scale"], distribution_class=DiagonalGaussian)
+
+
+def actor_of(policy: TensorDictModule) -> ProbabilisticActor:
+    """The target policy as a distribution, by what the policy writes.
+
+    "logits" are those of a softmax, "loc" and "scale" those of a Gaussian.
+
+    Raises:
+        ValueError: if it writes neither.
+    """
+    written = set(policy.out_keys)
+    if "logits" in written:
+        return SoftmaxActor(policy)
+    if {"loc", "scale"} <= written:
+        return GaussianActor(policy)
+    raise ValueError(
+        f"a policy must write logits, or loc and scale; {type(policy).__name__} writes "
+        f"{', '.join(map(str, policy.out_keys))}"
+    )
+
+
+def frame_log_prob(
+    actor: ProbabilisticTensorDictSequential, tensordict: TensorDictBase, action: Tensor
+) -> Tensor:
+    """Log π(a|s) of every frame [frames], with its gradient.
+
+    Args:
+        actor: the target policy, any ``ProbabilisticActor``.
+        tensordict: flat frames [frames] with what the actor reads.
+        action: [frames, ...].
+
+    Raises:
+        ValueError: if the actor gives more than one log-probability per frame.
+    """
+    distribution: Any = frame_distribution(actor, tensordict)
+    composite = isinstance(distribution, CompositeDistribution)
+    log_prob = distribution.log_prob(tensordict if composite else action)
+    if is_tensor_collection(log_prob):
+        log_prob = torch.stack([*log_prob.values(True, True)]).sum(0)
+    if log_prob.numel() != len(tensordict):
+        raise ValueError(
+            f"log π is {list(log_prob.shape)} for {len(tensordict)} frames; a distribution over "
+            "several action dimensions must sum them (torch.distributions.Independent)"
+        )
+    return log_prob.reshape(-1)
+
+
+def frame_distribution(
+    actor: ProbabilisticTensorDictSequential, tensordict: TensorDictBase
+) -> Distribution:
+    """π(·|s) of every frame; it obeys an action mask wherever the data have one."""
+    # On a copy, since the actor writes to what it is given.
+    if not isinstance(actor, SoftmaxActor):
+        return actor.get_dist(tensordict.copy())
+    mask = tensordict.get("action_mask", None)
+    if actor.masked and mask is None:
+        raise KeyError("the data have no entry 'action_mask'")
+    return SoftmaxCategorical(actor[0](tensordict.copy()).get("logits"), mask)
+
+
 @singledispatch
 def score_sum(
     actor: ProbabilisticTensorDictSequential,
@@ -112,18 +210,8 @@ def score_sum(
     Raises:
         ValueError: if the actor gives more than one log-probability per frame.
     """
-    # On a copy, since the actor writes to what it is given.
-    distribution: Any = actor.get_dist(tensordict.copy())
-    composite = isinstance(distribution, CompositeDistribution)
-    log_prob = distribution.log_prob(tensordict if composite else action)
-    if is_tensor_collection(log_prob):
-        log_prob = torch.stack([*log_prob.values(True, True)]).sum(0)
-    if log_prob.numel() != len(advantage):
-        raise ValueError(
-            f"log π is {list(log_prob.shape)} for {len(advantage)} frames; a distribution over "
-            "several action dimensions must sum them (torch.distributions.Independent)"
-        )
-    return lane_sum(log_prob.reshape(-1) * advantage, trial, trials)
+    log_prob = frame_log_prob(actor, tensordict, action)
+    return lane_sum(log_prob * advantage, trial, trials)
 
 
 @score_sum.register
@@ -135,12 +223,9 @@ def _(
     trial: Tensor,
     trials: int,
 ) -> Tensor:
-    policy, mask = actor[0], tensordict.get("action_mask", None)
-    if actor.masked and mask is None:
-        raise KeyError("the data have no entry 'action_mask'")
-    if isinstance(policy, LinearPolicy) and mask is None and len(policy.weight) == trials:
+    policy, masked = actor[0], actor.masked or "action_mask" in tensordict
+    if isinstance(policy, LinearPolicy) and not masked and len(policy.weight) == trials:
         observation = tensordict.get("observation")
         return linear_softmax_score(observation, policy.weight, action, advantage, trial)
-    logits = policy(tensordict.copy()).get("logits")
-    log_prob = SoftmaxCategorical(logits, mask).log_prob(action)
+    log_prob = frame_log_prob(actor, tensordict, action)
     return lane_sum(log_prob * advantage, trial, trials)

@@ -24,10 +24,15 @@ class Progress:
     Args:
         label: what is running.
         stream: where to write.
+        begun: the record at this moment, where a training goes on that was begun before.
     """
 
-    def __init__(self, label: str, stream: TextIO = sys.stderr) -> None:
+    def __init__(
+        self, label: str, stream: TextIO = sys.stderr, *, begun: Trials | None = None
+    ) -> None:
         self.label, self.stream = label, stream
+        self.iterations = 0 if begun is None else begun.iteration
+        self.frames = 0 if begun is None else int(begun.frames.sum())
         self.live = stream.isatty()
         self.started = self.shown = time.perf_counter()
 
@@ -38,12 +43,13 @@ class Progress:
             return
         self.shown = now
         seconds = now - self.started
-        left = seconds / trials.iteration * (trials.max_iterations - trials.iteration)
+        done = trials.iteration - self.iterations
+        left = seconds / done * (trials.max_iterations - trials.iteration)
         self.stream.write(
             f"\r{self.label}: iteration {trials.iteration}, "
             f"converged {trials.converged.sum()}/{len(trials)}, "
             f"mean score {trials.score.mean():.1f}, "
-            f"{trials.frames.sum() / seconds:,.0f} frames/s, "
+            f"{(trials.frames.sum() - self.frames) / seconds:,.0f} frames/s, "
             f"at most {duration(left)} left\033[K"
         )
         self.stream.flush()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
@@ -12,22 +12,28 @@ from tensordict.nn import ProbabilisticTensorDictSequential, dispatch
 from torch import Tensor
 from torchrl.objectives.common import LossModule
 
-from trl_explore.actor import score_sum
+from trl_explore.actor import frame_distribution, frame_log_prob, score_sum
+from trl_explore.baselines import Baseline, as_baseline
 from trl_explore.checks import check_integer, check_number
-from trl_explore.ops import return_to_go
+from trl_explore.corrections import Correction, NoCorrection, log_ratio_of
+from trl_explore.episodes import Episodes
+from trl_explore.strategies import BaseStrategy
 
 REDUCTIONS = ("sum", "mean", "none")
+EPS = 1e-8
+"""Added to the standard deviation that advantages are divided by."""
 
 
 class ReinforceLoss(LossModule):
     """REINFORCE with reward-to-go: one loss for each trial, no critic.
 
-    L_k = −w · Σ_{t ∈ frames of trial k} (G_t − b) · log π(a_t | s_t),
+    L_k = −w · Σ_{t ∈ frames of trial k} A_t · log π(a_t | s_t),   A_t = G_t − b_t,
     G_t = Σ_{j ≥ t} γ^{j−t} r_j, to the end of the episode
 
-    (Williams 1992; Sutton & Barto, §13.3; thesis, §2.1 and appendix A.3). The gradient is that of
-    the expected return only if the data are on-policy (μ = π) and γ = 1: there is no factor γ^t,
-    as in the thesis. Adam divides a constant factor such as w out again, but for its ε = 1e-8.
+    (Williams 1992; Sutton & Barto, §13.3; thesis, §2.1 and appendix A.3). Without a correction the
+    gradient is that of the expected return only if the data are on-policy (μ = π), and γ = 1 or
+    ``discount_steps``. A correction changes A_t, or puts μ in the place of π (``corrections``).
+    Adam divides a constant factor such as w out again, but for its ε = 1e-8.
 
     An episode ends where "done" is true. *Terminated* and *truncated* episodes are treated alike:
     the return stops with the last reward, nothing is bootstrapped behind a time limit; so is an
@@ -39,8 +45,10 @@ class ReinforceLoss(LossModule):
       Frames that TorchRL marks as padding, in ("collector", "mask"), count for nothing.
 
     Reads what the actor reads, "action", ("next", "reward") and ("next", "done") [*batch, 1],
-    and "trial" [*batch] int64. Returns "loss_actor" (reduced) and "trial_loss" [trials], the same
-    losses before reduction, detached.
+    "trial" [*batch] int64, and where a correction needs it "action_log_prob" [*batch]. Returns
+    "loss_actor" (reduced) and "trial_loss" [trials], the same losses before reduction, detached;
+    with a learned baseline also "loss_value" (reduced). After the update, ``step`` lets the
+    baseline learn from the same data.
 
     Args:
         actor_network: the target policy π, any ``ProbabilisticActor``.
@@ -48,13 +56,21 @@ class ReinforceLoss(LossModule):
     Keyword Args:
         gamma: discount γ in [0, 1].
         weight: w > 0; the thesis multiplies the loss with the learning rate (appendix A.3).
-        baseline: b, a constant (0 in the thesis).
+        correction: what makes up for μ ≠ π; None: nothing (the thesis).
+        baseline: b, a number (0 in the thesis) or one of ``baselines``.
+        discount_steps: whether A_t is multiplied with γ^t: without, the gradient is that of no
+            objective at γ < 1 (Sutton & Barto, §13.3; Nota & Thomas 2020).
+        normalize_advantage: whether the A_t of a trial's iteration are scaled to mean 0 and
+            standard deviation 1 (with no baseline and correction: its returns). Biased.
+        entropy_coeff: c >= 0; L_k also contains −w · c · Σ_t H(π(·|s_t)) (Williams & Peng 1991).
+        strategy: what the data are collected with; a correction may refuse it, or need it.
         trials: the number of trials; None takes the largest "trial" of the data plus one.
         reduction: of the trials' losses: "sum", "mean" or "none".
         functional: as in TorchRL: whether the parameters are copied into the loss's own container.
 
     Raises:
-        ValueError: if a number is out of range or the reduction is unknown.
+        ValueError: if a number is out of range, the reduction is unknown, or the correction does
+            not exist for the strategy.
         KeyError: if the data lack an entry.
 
     Example:
@@ -84,6 +100,7 @@ class ReinforceLoss(LossModule):
         reward: NestedKey = "reward"
         done: NestedKey = "done"
         trial: NestedKey = "trial"
+        sample_log_prob: NestedKey = "action_log_prob"
 
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
@@ -99,7 +116,12 @@ class ReinforceLoss(LossModule):
         *,
         gamma: float = 0.99,
         weight: float = 0.05,
-        baseline: float = 0.0,
+        correction: Correction | None = None,
+        baseline: Baseline | float = 0.0,
+        discount_steps: bool = False,
+        normalize_advantage: bool = False,
+        entropy_coeff: float = 0.0,
+        strategy: BaseStrategy | None = None,
         trials: int | None = None,
         reduction: str = "sum",
         functional: bool = True,
@@ -109,7 +131,12 @@ class ReinforceLoss(LossModule):
         self._in_keys = None
         self.gamma = check_number("gamma", gamma, 0, 1)
         self.weight = check_number("weight", weight, 0, low_open=True)
-        self.baseline = check_number("baseline", baseline)
+        self.baseline = as_baseline(baseline)
+        self.correction = correction or NoCorrection()
+        self.discount_steps = _check_bool("discount_steps", discount_steps)
+        self.normalize_advantage = _check_bool("normalize_advantage", normalize_advantage)
+        self.entropy_coeff = check_number("entropy_coeff", entropy_coeff, 0)
+        actor_network = self.correction.actor(actor_network, strategy)  # type: ignore[arg-type]
         self.trials = None if trials is None else check_integer("trials", trials, 1)
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}")
@@ -130,6 +157,8 @@ class ReinforceLoss(LossModule):
         if self._in_keys is None:
             keys = self.tensor_keys
             own = [keys.action, ("next", keys.reward), ("next", keys.done), keys.trial]
+            if self.correction.needs_log_prob:
+                own.append(keys.sample_log_prob)
             actors = [key for key in self.actor_network.in_keys if key not in own]
             self._in_keys = [*own, *actors]
         return self._in_keys
@@ -144,54 +173,94 @@ class ReinforceLoss(LossModule):
     @dispatch  # pyright: ignore[reportArgumentType] - it is its own decorator
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The losses of a batch of episodes."""
-        mask = self._mask(tensordict)
-        factor = self._advantage(tensordict, mask).mul_(-self.weight)
-        trial, trials = self._trial(tensordict, factor)
-        if mask is not None:
-            tensordict, factor, trial = tensordict[mask], factor[mask], trial[mask]
-        if factor.ndim > 1:
-            tensordict = cast(TensorDictBase, tensordict.reshape(-1))
-            factor, trial = factor.reshape(-1), trial.reshape(-1)
-        action = _entry(tensordict, self.tensor_keys.action)
+        episodes, _ = self._episodes(tensordict)
+        action = _entry(episodes.tensordict, self.tensor_keys.action)
+        trial, trials = episodes.trial, episodes.trials
         with self._with_parameters():
-            trial_loss = score_sum(self.actor_network, tensordict, action, factor, trial, trials)
-        return TensorDict._new_unsafe(
-            {"loss_actor": self._reduce(trial_loss), "trial_loss": trial_loss.detach()},
-            batch_size=torch.Size([]),
-        )
+            factor = self._factor(episodes, action).mul_(-self.weight)
+            frames = episodes.tensordict
+            trial_loss = score_sum(self.actor_network, frames, action, factor, trial, trials)
+            if self.entropy_coeff:
+                entropy: Tensor = frame_distribution(self.actor_network, frames).entropy()
+                bonus = episodes.by_trial(entropy.reshape(-1))
+                trial_loss = trial_loss - self.weight * self.entropy_coeff * bonus
+        out = {"loss_actor": self._reduce(trial_loss), "trial_loss": trial_loss.detach()}
+        value_loss = self.baseline.loss(episodes)
+        if value_loss is not None:
+            out["loss_value"] = self._reduce(value_loss)
+        return TensorDict._new_unsafe(out, batch_size=torch.Size([]))
 
     def advantage(self, tensordict: TensorDictBase) -> Tensor:
-        """G_t − b for every frame, in the shape of the data [*batch]."""
-        return self._advantage(tensordict, self._mask(tensordict))
+        """The factor of ∇log π(a_t|s_t) for every frame, in the shape of the data [*batch].
 
-    def _advantage(self, tensordict: TensorDictBase, mask: Tensor | None) -> Tensor:
+        G_t − b_t where nothing is corrected; 0 for padding.
+        """
+        episodes, mask = self._episodes(tensordict)
+        action = _entry(episodes.tensordict, self.tensor_keys.action)
+        with self._with_parameters():
+            flat = self._factor(episodes, action)
+        if mask is None:
+            return flat.reshape(tensordict.shape)
+        out = flat.new_zeros(tensordict.shape)
+        out[mask] = flat
+        return out
+
+    def step(self, tensordict: TensorDictBase) -> None:
+        """Let the baseline learn from an iteration's data: once, after the update."""
+        if type(self.baseline).step is not Baseline.step:
+            self.baseline.step(self._episodes(tensordict)[0])
+
+    @torch.no_grad()
+    def _factor(self, episodes: Episodes, action: Tensor) -> Tensor:
+        """The factor of ∇log π of every frame [frames], in memory of its own."""
+        log_ratio = None
+        if self.correction.needs_log_prob:
+            behaviour = _entry(episodes.tensordict, self.tensor_keys.sample_log_prob)
+            target = frame_log_prob(self.actor_network, episodes.tensordict, action)
+            log_ratio = log_ratio_of(target, behaviour.reshape(-1))
+        baseline = self.baseline(episodes)
+        factor = self.correction.advantage(episodes, baseline, log_ratio)
+        if self.discount_steps:
+            factor = factor * self.gamma ** episodes.step.to(factor.dtype)
+        if self.normalize_advantage:
+            factor = factor - episodes.trial_mean(factor)[episodes.trial]
+            variance = episodes.trial_mean(factor**2)[episodes.trial]
+            factor = factor / (variance.sqrt() + EPS)
+        return factor
+
+    def _episodes(self, tensordict: TensorDictBase) -> tuple[Episodes, Tensor | None]:
+        """Flat frames, and which of the data [*batch] they are; None: all."""
         after = _entry(tensordict, "next")
         reward = _entry(after, self.tensor_keys.reward).detach().squeeze(-1)
         done = _entry(after, self.tensor_keys.done).squeeze(-1)
-        # A trial may break off before done; the next trial is not its future.
-        trial = tensordict.get(self.tensor_keys.trial, None)
-        if trial is not None and reward.ndim > 1:
+        trial, trials = self._trial(tensordict, reward)
+        mask = self._mask(tensordict)
+        if reward.ndim > 1 or mask is not None:
+            # Rows, and what is before padding, may break off before they are done.
             done = done.clone()
-            done[..., :-1] |= trial[..., 1:] != trial[..., :-1]
-            trial = None
+            done[..., -1:] = True
+            if mask is not None:
+                done[..., :-1] |= ~mask[..., 1:]
+        flat: list[Any] = [tensordict, reward, done, trial]
         if mask is not None:
-            reward = torch.where(mask, reward, 0.0)
-            done = done | ~mask
-        returns = return_to_go(reward, done, self.gamma, trial)
-        return returns.sub_(self.baseline) if self.baseline else returns
+            flat = [x[mask] for x in flat]
+        elif reward.ndim > 1:
+            flat = [x.reshape(-1) for x in flat]
+        frames, reward, done, trial = flat
+        return Episodes(frames, reward, done, trial, trials, self.gamma), mask
 
     def _with_parameters(self) -> contextlib.AbstractContextManager[object]:
         if self.functional:
             return self.actor_network_params.to_module(self.actor_network)
         return contextlib.nullcontext()
 
-    def _trial(self, tensordict: TensorDictBase, advantage: Tensor) -> tuple[Tensor, int]:
+    def _trial(self, tensordict: TensorDictBase, reward: Tensor) -> tuple[Tensor, int]:
         """The trial of every frame [*batch], and the number of trials."""
         trial = tensordict.get(self.tensor_keys.trial, None)
         if trial is None:
-            rows = advantage.shape[:-1]
-            trial = torch.arange(rows.numel(), device=advantage.device).reshape(*rows, 1)
-            trial = trial.expand(advantage.shape)
+            rows = reward.shape[:-1]
+            trial = torch.arange(rows.numel(), device=reward.device).reshape(*rows, 1)
+            trial = trial.expand(reward.shape)
         if self.trials is not None:
             return trial, self.trials
         return trial, int(trial.max()) + 1 if trial.numel() else 0
@@ -209,6 +278,12 @@ class ReinforceLoss(LossModule):
         if self.reduction == "sum":
             return trial_loss.sum()
         return trial_loss.mean() if self.reduction == "mean" else trial_loss
+
+
+def _check_bool(name: str, value: bool) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} must be true or false, got {value!r}")
+    return value
 
 
 def _entry(tensordict: TensorDictBase, key: NestedKey) -> Any:

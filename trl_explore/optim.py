@@ -31,6 +31,14 @@ class TrialOptimizer(Protocol):
         """One step of the trials in ``active`` [trials] bool; None moves all of them."""
         ...
 
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that decides the next step, beside parameters and gradients."""
+        ...
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on where ``state_dict`` was taken."""
+        ...
+
 
 class LaneAdam:
     """Adam (Kingma & Ba 2015, algorithm 1), compiled, over the rows of the active trials only.
@@ -174,6 +182,14 @@ class LaneOptimizer:
         self.optimizer.step()
         for rows, before in kept:
             rows.index_copy_(0, stopped, before)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The state of the torch optimiser."""
+        return self.optimizer.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on where ``state_dict`` was taken."""
+        self.optimizer.load_state_dict(state)
 
     def rows(self) -> list[Tensor]:
         """Every tensor with one row per trial: parameters and the state that goes with them."""

@@ -7,8 +7,10 @@ never per frame.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,6 +35,10 @@ class Schedule(ABC):
     @abstractmethod
     def bounds(self) -> tuple[float, float]:
         """The smallest and the largest value that the schedule ever takes or approaches."""
+
+    def __repr__(self) -> str:
+        arguments = ", ".join(f"{name}={value}" for name, value in vars(self).items())
+        return f"{type(self).__name__}({arguments})"
 
 
 class Constant(Schedule):
@@ -68,8 +74,8 @@ class Constant(Schedule):
         return float(np.min(self.value)), float(np.max(self.value))
 
 
-class Linear(Schedule):
-    """value(i) = initial + (final − initial) · min(i / iterations, 1).
+class _Walk(Schedule):
+    """From ``initial`` in iteration 0 to ``final`` in iteration ``iterations``, and on from there.
 
     Args:
         initial: the value in iteration 0.
@@ -78,10 +84,6 @@ class Linear(Schedule):
 
     Raises:
         ValueError: if an argument is not finite or ``iterations`` < 1.
-
-    Example:
-        >>> [Linear(1.0, 0.0, iterations=4)(i) for i in (0, 1, 4, 9)]
-        [1.0, 0.75, 0.0, 0.0]
     """
 
     def __init__(self, initial: float, final: float, iterations: int) -> None:
@@ -91,13 +93,49 @@ class Linear(Schedule):
 
     def __call__(self, iteration: int) -> float:
         """The value in ``iteration``, counted from 0."""
-        progress = min(iteration / self.iterations, 1.0)
-        return self.initial + (self.final - self.initial) * progress
+        progress = self._progress(min(iteration / self.iterations, 1.0))
+        value = self.initial + (self.final - self.initial) * progress
+        low, high = self.bounds
+        return min(max(value, low), high)  # rounding must not leave the bounds
+
+    @abstractmethod
+    def _progress(self, time: float) -> float:
+        """The part of the way that is done at a part of the time, both in [0, 1]."""
 
     @property
     def bounds(self) -> tuple[float, float]:
         """The smallest and the largest value."""
         return min(self.initial, self.final), max(self.initial, self.final)
+
+
+class Linear(_Walk):
+    """value(i) = initial + (final − initial) · min(i / iterations, 1).
+
+    Arguments and errors are those of every walk: ``initial``, ``final``, ``iterations`` >= 1.
+
+    Example:
+        >>> [Linear(1.0, 0.0, iterations=4)(i) for i in (0, 1, 4, 9)]
+        [1.0, 0.75, 0.0, 0.0]
+    """
+
+    def _progress(self, time: float) -> float:
+        return time
+
+
+class Cosine(_Walk):
+    """value(i) = final + (initial − final) · (1 + cos(π · min(i / iterations, 1))) / 2.
+
+    Slow at both ends and fastest in the middle (Loshchilov & Hutter 2017, "SGDR", eq. 5, without
+    restarts). Arguments and errors are those of every walk: ``initial``, ``final``,
+    ``iterations`` >= 1.
+
+    Example:
+        >>> [round(Cosine(1.0, 0.0, iterations=3)(i), 6) for i in (0, 1, 2, 3, 9)]
+        [1.0, 0.75, 0.25, 0.0, 0.0]
+    """
+
+    def _progress(self, time: float) -> float:
+        return (1 - math.cos(math.pi * time)) / 2
 
 
 class Exponential(Schedule):
@@ -128,6 +166,87 @@ class Exponential(Schedule):
         """The smallest and the largest value."""
         limit = self.initial if self.decay == 1 else 0.0
         return min(self.initial, limit), max(self.initial, limit)
+
+
+class Inverse(Schedule):
+    """value(i) = initial / (1 + rate · i)^power.
+
+    The step sizes of Robbins & Monro (1951) at power 1; those of which Σ diverges and Σ of the
+    squares converges have a power in (1/2, 1].
+
+    Args:
+        initial: the value in iteration 0.
+        rate: how fast it falls, >= 0; at power 1 the value is halved in iteration 1 / rate.
+        power: > 0.
+
+    Raises:
+        ValueError: if an argument is out of range.
+
+    Example:
+        >>> [Inverse(1.0, rate=0.5)(i) for i in (0, 2, 6)]
+        [1.0, 0.5, 0.25]
+    """
+
+    def __init__(self, initial: float, rate: float, power: float = 1.0) -> None:
+        self.initial = check_number("initial", initial)
+        self.rate = check_number("rate", rate, 0)
+        self.power = check_number("power", power, 0, low_open=True)
+
+    def __call__(self, iteration: int) -> float:
+        """The value in ``iteration``, counted from 0."""
+        return self.initial * (1 + self.rate * iteration) ** -self.power
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The smallest and the largest value; the limit is 0."""
+        limit = self.initial if self.rate == 0 else 0.0
+        return min(self.initial, limit), max(self.initial, limit)
+
+
+class Piecewise(Schedule):
+    """Linear interpolation between knots (i_k, value_k), i_0 < i_1 < ...; constant outside.
+
+    value(i) = value_k + (value_{k+1} − value_k) · (i − i_k) / (i_{k+1} − i_k),  i_k <= i <= i_{k+1}
+
+    Args:
+        knots: pairs of an iteration and the value there, at least one, iterations ascending.
+
+    Raises:
+        ValueError: if a knot is not a pair of an iteration >= 0 and a finite number, or the
+            iterations do not ascend.
+
+    Example:
+        >>> schedule = Piecewise([(0, 1.0), (100, 0.2), (200, 0.0)])
+        >>> [schedule(i) for i in (0, 50, 100, 150, 1000)]
+        [1.0, 0.6, 0.2, 0.1, 0.0]
+    """
+
+    def __init__(self, knots: Sequence[Sequence[float]]) -> None:
+        if isinstance(knots, str) or not np.iterable(knots) or not len(knots):
+            raise ValueError(f"knots must be pairs (iteration, value), got {knots!r}")
+        for knot in knots:
+            if isinstance(knot, str) or not np.iterable(knot) or len(knot) != 2:
+                raise ValueError(f"a knot must be a pair (iteration, value), got {knot!r}")
+        self.knots = [
+            (check_integer("iteration of a knot", _scalar(i), 0), check_number("value", _scalar(v)))
+            for i, v in knots
+        ]
+        iterations = [i for i, _ in self.knots]
+        if any(a >= b for a, b in pairwise(iterations)):
+            raise ValueError(f"the iterations of the knots must ascend, got {iterations}")
+
+    def __call__(self, iteration: int) -> float:
+        """The value in ``iteration``, counted from 0."""
+        iterations, values = zip(*self.knots, strict=True)
+        value = float(np.interp(iteration, iterations, values))
+        low, high = self.bounds
+        return min(max(value, low), high)  # rounding must not leave the bounds
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The smallest and the largest value."""
+        values = [value for _, value in self.knots]
+        return min(values), max(values)
 
 
 def as_schedule(

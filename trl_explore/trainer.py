@@ -3,17 +3,34 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
-from torchrl.objectives.common import LossModule
 
 from trl_explore.collectors import EpisodeCollector
+from trl_explore.diagnostics import Diagnostics
+from trl_explore.episodes import outcomes
+from trl_explore.evaluation import Evaluator
 from trl_explore.optim import TrialOptimizer
 from trl_explore.trials import Trials
+
+
+class TrialLoss(Protocol):
+    """What the trainer needs of a loss."""
+
+    reduction: str
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The entries "loss_actor", "trial_loss" [trials], and perhaps "loss_value"."""
+        ...
+
+    def step(self, tensordict: TensorDictBase) -> None:
+        """Learn from the data of an iteration, after its update."""
+        ...
 
 
 class Trainer:
@@ -26,37 +43,75 @@ class Trainer:
         loss: a loss with one value per trial, in "trial_loss", and reduction "sum" or "none".
         optimizer: moves the active trials.
         trials: the record, which decides when a trial stops.
+        evaluator: plays the greedy policy now and then.
+        stop_on_evaluation: whether a trial converges by its evaluation scores, not by those of
+            its training.
+        diagnostics: records what happens inside of the trials.
         on_iteration: called after each iteration with the record.
 
     Raises:
-        ValueError: if the loss averages over trials, which would couple them.
+        ValueError: if the loss averages over trials, which would couple them, or evaluation is to
+            decide and there is none.
     """
 
     def __init__(
         self,
         collector: EpisodeCollector,
-        loss: LossModule,
+        loss: TrialLoss,
         optimizer: TrialOptimizer,
         trials: Trials,
         *,
+        evaluator: Evaluator | None = None,
+        stop_on_evaluation: bool = False,
+        diagnostics: Diagnostics | None = None,
         on_iteration: Callable[[Trials], None] | None = None,
     ) -> None:
         if loss.reduction == "mean":
             raise ValueError("reduction 'mean' couples the trials; allowed here are sum and none")
+        if stop_on_evaluation and evaluator is None:
+            raise ValueError("stop_on=evaluation needs evaluate_every of at least 1, got 0")
         self.collector = collector
         self.loss = loss
         self.optimizer = optimizer
         self.trials = trials
+        self.evaluator = evaluator
+        self.stop_on_evaluation = stop_on_evaluation
+        self.diagnostics = diagnostics
         self.on_iteration = on_iteration
+        self.seconds = 0.0
+        """Wall time of the training so far; that before an interruption counts [s]."""
+        self.parts: dict[str, Any] = {
+            "collector": collector,
+            "loss": loss,
+            "optimizer": optimizer,
+            "trials": trials,
+        }
+        """Everything with a state, by name: whatever joins the loop is entered here."""
+        if evaluator is not None:
+            self.parts["evaluator"] = evaluator
+        if diagnostics is not None:
+            self.parts["diagnostics"] = diagnostics
 
     def run(self) -> Trials:
         """Train until every trial has stopped."""
-        started = time.perf_counter()
+        started = time.perf_counter() - self.seconds
         while self.trials.active.any():
             self._iterate(started)
+            self.seconds = time.perf_counter() - started
             if self.on_iteration is not None:
                 self.on_iteration(self.trials)
         return self.trials
+
+    def state_dict(self) -> dict[str, Any]:
+        """The state of every part between two iterations; random streams have none."""
+        parts = {name: part.state_dict() for name, part in self.parts.items()}
+        return {"seconds": self.seconds, "parts": parts}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where ``state_dict`` was taken; the record's history must have been loaded."""
+        for name, part in self.parts.items():
+            part.load_state_dict(state["parts"][name])
+        self.seconds = float(state["seconds"])
 
     def _iterate(self, started: float) -> None:
         active = self.trials.active
@@ -65,14 +120,32 @@ class Trainer:
         trial_loss = self._update(data, active)
         self.collector.strategy.step(data)
         diverged = self._diverged(trial_loss, active)
-        self.trials.record(scores, frames, diverged, time.perf_counter() - started)
+        passed = self._evaluate(active)
+        self.trials.record(scores, frames, diverged, time.perf_counter() - started, passed)
+
+    def _evaluate(self, active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+        """Evaluate if it is time to; who has passed by it [active], if that is what counts."""
+        if self.evaluator is None:
+            return None
+        iteration = self.trials.iteration + 1
+        due = self.evaluator.is_due(iteration)
+        if due:
+            self.evaluator.evaluate(iteration, active)
+        if not self.stop_on_evaluation:
+            return None
+        return self.evaluator.passed(active) & due
 
     def _update(self, data: TensorDictBase, active: NDArray[np.bool_]) -> torch.Tensor:
         self.optimizer.zero_grad()
         losses = self.loss(data)
         loss = losses.get("loss_actor")
-        (loss if loss.ndim == 0 else loss.sum()).backward()
+        loss = loss if loss.ndim == 0 else loss.sum()
+        value_loss = losses.get("loss_value", None)
+        (loss if value_loss is None else loss + value_loss.sum()).backward()
+        if self.diagnostics is not None:
+            self.diagnostics.record(data, active)
         self.optimizer.step(torch.from_numpy(active))
+        self.loss.step(data)
         return losses.get("trial_loss")
 
     def _diverged(self, trial_loss: torch.Tensor, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -82,20 +155,3 @@ class Trainer:
             return np.zeros(np.count_nonzero(active), dtype=np.bool_)
         finite = [np.isfinite(row.reshape(len(row), -1)).all(axis=1) for row in rows]
         return ~np.logical_and.reduce(finite)[active]
-
-
-def outcomes(
-    data: TensorDictBase, episodes_per_update: int = 1
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Score and number of frames of every episode in a collector's data, in their order.
-
-    Returns:
-        Each [active], or [active, k] where every trial has k > 1 episodes.
-    """
-    after = data.get("next")
-    last = np.flatnonzero(after.get("done").numpy())
-    scores = after.get("episode_reward").numpy()[last, 0].astype(np.float64)
-    frames = after.get("step_count").numpy()[last, 0]
-    if episodes_per_update == 1:
-        return scores, frames
-    return scores.reshape(-1, episodes_per_update), frames.reshape(-1, episodes_per_update)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.checks import check_integer, check_number
 
 ACTIVE, CONVERGED, CAPPED, DIVERGED = "active", "converged", "capped", "diverged"
+STATUSES = (ACTIVE, CONVERGED, CAPPED, DIVERGED)
+CURVES = ("episode_score", "score", "active", "converged")
 
 
 class Trials:
@@ -67,6 +72,7 @@ class Trials:
         frames: NDArray[np.int64],
         diverged: NDArray[np.bool_],
         seconds: float,
+        passed: NDArray[np.bool_] | None = None,
     ) -> None:
         """Enter one iteration and stop the trials whose time has come.
 
@@ -76,6 +82,8 @@ class Trials:
             frames: their numbers of frames, in the same shape.
             diverged: whether the trial has left the finite numbers [active].
             seconds: wall time since the batch began.
+            passed: whether the trial has converged, where something else than its training scores
+                decides that [active].
         """
         trial = np.flatnonzero(self.active)
         self._episodes.append((trial, scores, frames))
@@ -95,7 +103,8 @@ class Trials:
         # In its last iteration a trial counts with its episode, from then on with its final score.
         episode_score = np.add.reduce(self._episode_score) / len(self)
         full = self._n_episodes >= self.score_window
-        passed = (mean > self.score_threshold) & full & ~diverged
+        own = (mean > self.score_threshold) & full
+        passed = np.logical_and(own if passed is None else passed, ~diverged)
         if passed.any() or diverged.any() or self.iteration >= self.max_iterations:
             self._stop(trial, passed, diverged)
         score = np.add.reduce(self.score) / len(self)
@@ -121,8 +130,7 @@ class Trials:
 
     def curves(self) -> dict[str, NDArray[np.float64]]:
         """Averages over all trials after every iteration, each [iterations]."""
-        names = ("episode_score", "score", "active", "converged")
-        return dict(zip(names, np.array(self._curves, dtype=np.float64).T, strict=True))
+        return dict(zip(CURVES, np.array(self._curves, dtype=np.float64).T, strict=True))
 
     def episodes(self) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
         """One row for each episode, by iteration and then trial."""
@@ -134,3 +142,78 @@ class Trials:
         trial = np.concatenate([np.repeat(t, k) for t, k in zip(trials, repeats, strict=True)])
         iteration = np.repeat(np.arange(1, len(sizes) + 1), sizes)
         return {"trial": trial, "iteration": iteration, "score": score, "frames": frames}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything but the episodes, which ``history`` gives: its size stays the same."""
+        arrays = {name: getattr(self, name).copy() for name in _ROWS}
+        codes = np.array([STATUSES.index(status) for status in self.status], dtype=np.uint8)
+        return {
+            **arrays,
+            "status": codes,
+            "iteration": self.iteration,
+            "episodes": self._n_episodes,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where ``state_dict`` was taken; its history must have been loaded before.
+
+        Raises:
+            ValueError: if the history is not that of the state.
+        """
+        if state["iteration"] != self.iteration:
+            raise ValueError(
+                f"the state is of iteration {state['iteration']}, the history of {self.iteration}"
+            )
+        for name in _ROWS:
+            getattr(self, name)[:] = state[name]
+        self.status = np.array(STATUSES, dtype="<U9")[state["status"]]
+        self.active = self.status == ACTIVE
+        self._n_converged = int(np.count_nonzero(self.converged))
+        self._n_episodes = int(state["episodes"])
+
+    def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
+        """The iterations after the first ``since``, up to and with ``until``, as columns.
+
+        Returns:
+            "rows" and "width" [iterations], the numbers of active trials and of episodes of each;
+            "curves" [iterations, 4]; and by iteration and then trial "trial" [rows], "score" and
+            "frames" [rows * width], in the smallest of a few types that holds them exactly.
+        """
+        part = self._episodes[since:until]
+        columns = list(zip(*part, strict=True)) or [(), (), ()]
+        trial, score, frames = (
+            np.concatenate([column.reshape(-1) for column in entries]) if entries else np.zeros(0)
+            for entries in columns
+        )
+        return {
+            "rows": np.array([len(entry[0]) for entry in part], dtype=np.int64),
+            "width": np.array([entry[1].size // len(entry[0]) for entry in part], dtype=np.int64),
+            "curves": np.array(self._curves[since:until], dtype=np.float64).reshape(-1, 4),
+            "trial": _small(trial, np.int32),
+            "score": _small(score, np.float32),
+            "frames": _small(frames, np.int32),
+        }
+
+    def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Append what ``history`` gave."""
+        trial, score = columns["trial"].astype(np.int64), columns["score"].astype(np.float64)
+        frames = columns["frames"].astype(np.int64)
+        low = start = 0
+        for rows, width in zip(columns["rows"].tolist(), columns["width"].tolist(), strict=True):
+            high, stop = low + rows, start + rows * width
+            shape = (rows,) if width == 1 else (rows, width)
+            cells = score[start:stop].reshape(shape), frames[start:stop].reshape(shape)
+            self._episodes.append((trial[low:high], *cells))
+            low, start = high, stop
+        self._curves += [tuple(row) for row in columns["curves"].tolist()]
+
+
+_ROWS = ("iterations", "frames", "seconds", "score", "_episode_score", "_window")
+"""The arrays with one row for each trial."""
+
+
+def _small(values: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
+    """The values in ``dtype`` where that loses nothing, as they are otherwise."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        small = values.astype(dtype)
+    return small if np.array_equal(small, values, equal_nan=True) else values

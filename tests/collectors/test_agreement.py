@@ -13,12 +13,13 @@ from tensordict.nn import TensorDictSequential
 from torchrl.envs.utils import ExplorationType
 
 from trl_explore.collectors import FusedCollector, TorchRLCollector
+from trl_explore.config.kinds import options
 from trl_explore.envs import make_env
-from trl_explore.policy import LinearPolicy
+from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import EpsilonGreedy, MixtureStrategy, Softmax
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
-STRATEGIES = sorted(path.stem for path in (CONF / "strategy").glob("*.yaml"))
+STRATEGIES = options("strategy", "discrete")
 ENVS = {
     "cartpole": {"id": "CartPole-v1"},
     "lake": {"id": "FrozenLake-v1", "kwargs": {"map_name": "8x8"}},

@@ -12,7 +12,7 @@ from torchrl.envs.utils import ExplorationType
 
 from trl_explore.collectors import EpisodeCollector, FusedCollector, TorchRLCollector
 from trl_explore.envs import make_env
-from trl_explore.policy import LinearPolicy
+from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import (
     Argmax,
     DecayingEpsilonGreedy,

@@ -12,11 +12,12 @@ from torchrl.envs import RewardScaling
 from trl_explore.collectors import FusedCollector, NotCompilableError, auto_collector
 from trl_explore.collectors import fused as module
 from trl_explore.collectors.loop import scratch
+from trl_explore.collectors.networks import Network
 from trl_explore.envs import make_env
 from trl_explore.kernels import Kernel, kernel_of, register_kernel
 from trl_explore.kernels.base import kernel_function
 from trl_explore.kernels.philox import random
-from trl_explore.policy import LinearPolicy
+from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import Softmax, Strategy
 
 
@@ -43,7 +44,7 @@ def test_it_refuses_what_it_cannot_compile():
         build(scaled)
     env = make_env(trials=2)
     foreign = TensorDictModule(torch.nn.Linear(4, 2), ["observation"], ["logits"])
-    with pytest.raises(NotCompilableError, match="the policy is not a LinearPolicy"):
+    with pytest.raises(NotCompilableError, match="the policy TensorDictModule is not known to it"):
         FusedCollector(env, TensorDictSequential(foreign, Softmax()))
 
 
@@ -92,9 +93,9 @@ def test_memory_is_reused_and_grows():
 
 
 def test_the_scratch_of_long_episodes_stays_small():
-    kernel = kernel_of(gym.make("CartPole-v1"))
-    assert len(scratch(kernel, 500)[4]) == 32
-    assert len(scratch(kernel, 10**6)[4]) == 1
+    kernel, linear = kernel_of(gym.make("CartPole-v1")), Network("linear", (4, 2))
+    assert len(scratch(kernel, linear, 500, False)[5]) == 32
+    assert len(scratch(kernel, linear, 10**6, False)[5]) == 1
 
 
 class Corridor(gym.Env):

@@ -1,4 +1,4 @@
-"""What holds for every strategy, over every file of conf/strategy."""
+"""What holds for every strategy over discrete actions, over its files in conf/strategy."""
 
 import copy
 import io
@@ -12,16 +12,20 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from scipy import stats
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import TensorDictModule, TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.data import Categorical, Composite, OneHot
 from torchrl.envs.libs.gym import GymEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.config import CONF
-from trl_explore.strategies import Strategy
+from trl_explore.config.kinds import options
+from trl_explore.strategies import ParameterNoise, Strategy
 
-FILES = {path.stem: OmegaConf.load(path) for path in sorted((CONF / "strategy").glob("*.yaml"))}
+FILES = {
+    name: OmegaConf.load(CONF / "strategy" / f"{name}.yaml")
+    for name in options("strategy", "discrete")
+}
 ARGMAX = [ExplorationType.MODE, ExplorationType.MEAN, ExplorationType.DETERMINISTIC]
 NEVER = -torch.inf
 QUIET = {"auto_register_policy_transforms": True}  # torchrl 0.14 warns where it is not stated
@@ -29,10 +33,38 @@ QUIET = {"auto_register_policy_transforms": True}  # torchrl 0.14 warns where it
 pytestmark = pytest.mark.parametrize("name", FILES)
 
 
-def build(name, *, iteration=0, **options) -> Strategy:
-    strategy = instantiate(FILES[name], _partial_=True, _convert_="all")(**options)
+class Scaled(torch.nn.Module):
+    """A target policy with one parameter for each trial, which is 1."""
+
+    def __init__(self, trials):
+        super().__init__()
+        self.scale = torch.nn.Parameter(torch.ones(trials))
+
+    def forward(self, preferences, trial=None):
+        return preferences * (self.scale if trial is None else self.scale[trial].unsqueeze(-1))
+
+
+def target(trials) -> TensorDictModule:
+    return TensorDictModule(Scaled(trials), ["preferences", "trial"], ["logits"])
+
+
+def unbound(name, **options) -> Strategy:
+    return instantiate(FILES[name], _partial_=True, _convert_="all")(**options)
+
+
+def build(name, *, iteration=0, trials=1, first_trial=0, **options) -> Strategy:
+    strategy = unbound(name, **options)
+    strategy.bind(target(trials), trials, first_trial=first_trial)
     for _ in range(iteration):
         strategy.step()
+    return strategy
+
+
+def standalone(name, policy, **options) -> Strategy:
+    """For whoever calls no hook; only a strategy that perturbs parameters must know them."""
+    strategy = unbound(name, **options)
+    if isinstance(strategy, ParameterNoise):
+        strategy.bind(policy, 1)
     return strategy
 
 
@@ -45,7 +77,35 @@ def logits_of(*batch, n=4, seed=0):
 
 
 def frames(logits, **entries):
-    return TensorDict({"logits": logits, **entries}, logits.shape[:-1])
+    """Frames of one observation; the logits are those of ``target``."""
+    batch = logits.shape[:-1]
+    features = {"observation": torch.ones(*batch, 3), "preferences": logits}
+    return TensorDict({"logits": logits, **features, **entries}, batch)
+
+
+def uniforms(strategy, *batch, seed=1):
+    """As much noise as the strategy uses."""
+    shape = batch if strategy.noise_size == 1 else (*batch, strategy.noise_size)
+    return torch.rand(shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def mu(strategy, data, logits=None):
+    """What the strategy says that it does in these frames."""
+    logits = data["logits"] if logits is None else logits
+    if "action_mask" in data:
+        logits = logits.masked_fill(~data["action_mask"], NEVER)
+    return strategy.probs(strategy.preferences(data, logits), data.get("trial", None))
+
+
+def assert_log_prob(strategy, data, probs):
+    """The log-probability is that of the drawn action, or there is none."""
+    if not strategy.exact:
+        assert "action_log_prob" not in data
+        assert "action_log_prob" not in strategy.out_keys
+        return
+    of_action = probs.gather(-1, data["action"].unsqueeze(-1)).squeeze(-1)
+    assert torch.equal(data["action_log_prob"], of_action.log())
+    assert data["action_log_prob"].isfinite().all()
 
 
 # The distribution
@@ -101,13 +161,10 @@ def test_equal_preferences_are_equally_likely(name):
 def test_log_prob_is_that_of_the_drawn_action(name, dtype):
     strategy = build(name, iteration=60)
     data = strategy(frames(logits_of(300).to(dtype)))
-    assert data["action_log_prob"].dtype == dtype
-    assert data["action_log_prob"].shape == (300,)
-    probs = strategy.probs(data["logits"])
-    assert torch.equal(
-        data["action_log_prob"], probs.gather(-1, data["action"].unsqueeze(-1)).squeeze(-1).log()
-    )
-    assert data["action_log_prob"].isfinite().all()
+    assert_log_prob(strategy, data, mu(strategy, data))
+    if strategy.exact:
+        assert data["action_log_prob"].dtype == dtype
+        assert data["action_log_prob"].shape == (300,)
 
 
 @pytest.mark.parametrize("iteration", [0, 60])
@@ -116,9 +173,9 @@ def test_frequencies_are_the_probabilities(name, iteration, mode):
     strategy = build(name, iteration=iteration, seed=3)
     logits = torch.tensor([0.0, 1.0, NEVER, 0.8, 1.0], dtype=torch.float64)
     with set_exploration_type(mode):
-        actions = strategy(frames(logits.expand(20_000, 5)))["action"]
-    counts = np.bincount(actions.numpy(), minlength=5)
-    expected = 20_000 * strategy.probs(logits).numpy()
+        data = strategy(frames(logits.expand(20_000, 5)))
+    counts = np.bincount(data["action"].numpy(), minlength=5)
+    expected = 20_000 * mu(strategy, data)[0].numpy()
     possible = expected > 0
     assert counts[~possible].sum() == 0
     if possible.sum() > 1:
@@ -137,9 +194,10 @@ def test_exploration_off_takes_the_argmax(name, mode):
     )
     strategy = build(name)
     with set_exploration_type(mode):
-        data = strategy(frames(logits, noise=torch.full((102,), 0.99)))
+        data = strategy(frames(logits, noise=uniforms(strategy, 102)))
         assert torch.equal(data["action"], torch.from_numpy(logits.numpy().argmax(-1)))
-        assert data["action_log_prob"].tolist() == [0.0] * 102
+        if strategy.exact:
+            assert data["action_log_prob"].tolist() == [0.0] * 102
         mask = torch.ones(102, 4, dtype=torch.bool)
         mask[:, 1] = False
         masked = strategy(frames(logits, action_mask=mask))["action"]
@@ -157,11 +215,13 @@ def test_exploration_off_draws_no_numbers(name):
 @pytest.mark.parametrize("iteration", [0, 60])
 def test_noise_decides_the_draw(name, iteration):
     logits = torch.cat([logits_of(300), torch.zeros(300, 4)])
-    noise = torch.rand(600, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     strategies = [build(name, iteration=iteration, seed=seed) for seed in (0, 1)]
+    noise = uniforms(strategies[0], 600)
     a, b = (strategy(frames(logits, noise=noise))["action"] for strategy in strategies)
     assert torch.equal(a, b)
-    cdf = strategies[0].probs(logits).double().numpy().cumsum(-1)
+    if type(strategies[0]).explore is not Strategy.explore:
+        return  # it uses the noise in a way of its own
+    cdf = mu(strategies[0], frames(logits)).double().numpy().cumsum(-1)
     for row in range(600):
         at = noise[row].item() * cdf[row, -1]
         assert a[row] == np.searchsorted(cdf[row], at, side="right")
@@ -170,11 +230,13 @@ def test_noise_decides_the_draw(name, iteration):
 @pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3), (0,)])
 @pytest.mark.parametrize("given", [True, False])
 def test_batch_shapes(name, batch, given):
-    entries = {"noise": torch.full(batch, 0.5)} if given else {}
-    data = build(name)(frames(logits_of(*batch), **entries))
+    strategy = build(name)
+    entries = {"noise": uniforms(strategy, *batch)} if given else {}
+    data = strategy(frames(logits_of(*batch), **entries))
     assert data["action"].shape == batch
     assert data["action"].dtype == torch.int64
-    assert data["action_log_prob"].shape == batch
+    if strategy.exact:
+        assert data["action_log_prob"].shape == batch
 
 
 # Masks
@@ -189,9 +251,9 @@ def test_mask_is_obeyed(name, iteration):
     strategy = build(name, iteration=iteration)
     data = strategy(frames(logits, action_mask=mask))
     assert mask.gather(-1, data["action"].unsqueeze(-1)).all()
-    probs = strategy.probs(torch.where(mask, logits, NEVER))
-    of_action = probs.gather(-1, data["action"].unsqueeze(-1)).squeeze(-1)
-    assert torch.equal(data["action_log_prob"], of_action.log())
+    probs = mu(strategy, data)
+    assert (probs[~mask] == 0).all()
+    assert_log_prob(strategy, data, probs)
     assert torch.equal(data["logits"], logits)
     assert torch.equal(data["logits"], logits_of(500))
 
@@ -200,7 +262,8 @@ def test_mask_that_allows_everything_changes_nothing(name):
     logits, mask = logits_of(100), torch.ones(100, 4, dtype=torch.bool)
     plain, masked = build(name)(frames(logits)), build(name)(frames(logits, action_mask=mask))
     assert torch.equal(plain["action"], masked["action"])
-    assert torch.equal(plain["action_log_prob"], masked["action_log_prob"])
+    if build(name).exact:
+        assert torch.equal(plain["action_log_prob"], masked["action_log_prob"])
 
 
 def test_mask_that_forbids_everything_is_an_error(name):
@@ -214,15 +277,15 @@ def test_mask_that_forbids_everything_is_an_error(name):
 
 @pytest.mark.parametrize("composite", [False, True])
 def test_one_hot_and_categorical_actions_are_the_same(name, composite):
-    noise = torch.rand(100, generator=torch.Generator().manual_seed(2))
     actions = {}
     for spec in (Categorical(4), OneHot(4)):
         strategy = build(name, spec=Composite(action=spec) if composite else spec)
-        data = strategy(frames(logits_of(100), noise=noise))
+        data = strategy(frames(logits_of(100), noise=uniforms(strategy, 100)))
         actions[type(spec)] = data["action"]
         assert data["action"].dtype == spec.dtype
         assert spec.expand(*data.batch_size, *spec.shape).is_in(data["action"])
-        assert data["action_log_prob"].shape == (100,)
+        if strategy.exact:
+            assert data["action_log_prob"].shape == (100,)
     assert torch.equal(actions[OneHot].int().argmax(-1), actions[Categorical])
     assert (actions[OneHot].sum(-1) == 1).all()
 
@@ -268,16 +331,17 @@ def test_state_dict_round_trip(name, through_a_file):
     assert torch.equal(second.probs(logits_of(9)), first.probs(logits_of(9)))
     a, b = first(ties.clone()), second(ties.clone())
     assert torch.equal(a["action"], b["action"])
-    assert torch.equal(a["action_log_prob"], b["action_log_prob"])
+    if first.exact:
+        assert torch.equal(a["action_log_prob"], b["action_log_prob"])
 
 
 def test_state_dict_within_a_larger_module(name):
-    first, second = (
-        TensorDictSequential(
-            TensorDictModule(torch.nn.Linear(3, 4), ["observation"], ["logits"]), build(name)
-        )
-        for _ in range(2)
-    )
+    def whole():
+        linear = TensorDictModule(torch.nn.Linear(3, 4), ["observation"], ["logits"])
+        return TensorDictSequential(linear, standalone(name, linear))
+
+    first, second = whole(), whole()
+    assert len(list(first.parameters())) == 2  # a strategy has none
     first[-1].step()
     second.load_state_dict(first.state_dict())
     data = TensorDict({"observation": torch.randn(100, 3)}, [100])
@@ -319,21 +383,23 @@ def test_parameters_per_trial(name):
         value = FILES[name][key]
         values = [value, value / 2, value / 4]
         try:
-            strategy = build(name, **{key: values})
+            strategy = unbound(name, **{key: values})
         except ValueError:
             continue
         accepted.append(key)
-        strategy.bind(TensorDictModuleBase(), 3)
-        logits, trial = logits_of(30), torch.arange(30) % 3
-        noise = torch.rand(30, generator=torch.Generator().manual_seed(3))
+        strategy.bind(target(3), 3)
+        logits, trial, noise = logits_of(30), torch.arange(30) % 3, uniforms(strategy, 30)
         data = strategy(frames(logits, trial=trial, noise=noise))
         for k, own in enumerate(values):
             rows = trial == k
-            alone = build(name, **{key: own})(frames(logits[rows], noise=noise[rows]))
-            assert torch.equal(data["action"][rows], alone["action"])
-            torch.testing.assert_close(data["action_log_prob"][rows], alone["action_log_prob"])
+            alone = build(name, first_trial=k, **{key: own})
+            expected = alone(frames(logits[rows], noise=noise[rows]))
+            assert torch.equal(data["action"][rows], expected["action"])
+            if strategy.exact:
+                log_probs = data["action_log_prob"][rows], expected["action_log_prob"]
+                torch.testing.assert_close(*log_probs)
         with pytest.raises(ValueError, match="trials"):
-            strategy.bind(TensorDictModuleBase(), 4)
+            strategy.bind(target(4), 4)
     assert accepted or name not in ("epsilon_greedy", "softmax")
 
 
@@ -352,7 +418,7 @@ def test_behind_a_q_network_in_torchrls_collector(name, indices):
     env = GymEnv("CartPole-v1", categorical_action_encoding=indices)
     env.set_seed(0)
     q = TensorDictModule(torch.nn.Linear(4, 2), ["observation"], ["action_value"])
-    strategy = build(name, spec=env.action_spec, logits_key="action_value")
+    strategy = standalone(name, q, spec=env.action_spec, logits_key="action_value")
     collector = Collector(
         env, TensorDictSequential(q, strategy), frames_per_batch=60, total_frames=120, **QUIET
     )
@@ -364,9 +430,12 @@ def test_behind_a_q_network_in_torchrls_collector(name, indices):
         action = data["action"] if indices else data["action"].int().argmax(-1)
         assert data["action"].shape == ((60,) if indices else (60, 2))
         assert env.action_spec.expand(60, *env.action_spec.shape).is_in(data["action"])
-        probs = strategy.probs(data["action_value"])
-        of_action = probs.gather(-1, action.unsqueeze(-1)).squeeze(-1)
-        torch.testing.assert_close(data["action_log_prob"], of_action.log())
+        if strategy.exact:
+            last = int(data["is_init"].nonzero()[-1, 0])  # of its episode all frames are here
+            episode = data[last:].exclude("is_init")
+            probs = mu(strategy, episode, episode["action_value"])
+            of_action = probs.gather(-1, action[last:].unsqueeze(-1)).squeeze(-1)
+            torch.testing.assert_close(episode["action_log_prob"], of_action.log())
         # The action is the one that the environment took: pushing right speeds up.
         falling = data["next", "observation"][:, 1] - data["observation"][:, 1]
         assert torch.equal(falling > 0, action == 1)
@@ -380,7 +449,7 @@ def test_evaluation_in_torchrls_collector(name):
     env = GymEnv("CartPole-v1", categorical_action_encoding=True)
     env.set_seed(0)
     q = TensorDictModule(torch.nn.Linear(4, 2), ["observation"], ["action_value"])
-    policy = TensorDictSequential(q, build(name, logits_key="action_value"))
+    policy = TensorDictSequential(q, standalone(name, q, logits_key="action_value"))
     collector = Collector(
         env,
         policy,

@@ -16,7 +16,12 @@ logger = logging.getLogger(__name__)
 
 
 def auto_collector(
-    env: TransformedEnv, policy: TensorDictSequential, *, threads: int = 1, **options: Any
+    env: TransformedEnv,
+    policy: TensorDictSequential,
+    *,
+    threads: int = 1,
+    announce: bool = True,
+    **options: Any,
 ) -> EpisodeCollector:
     """The fastest collector that can serve; one log line says which, and why not the fused one.
 
@@ -26,12 +31,15 @@ def auto_collector(
 
     Keyword Args:
         threads: threads of the fused collector.
+        announce: whether to write the line.
         options: the arguments of ``EpisodeCollector``.
     """
     try:
         collector = FusedCollector(env, policy, threads=threads, **options)
-        logger.info("collector: fused")
+        line = "collector: fused"
     except NotCompilableError as error:
         collector = TorchRLCollector(env, policy, **options)
-        logger.info("collector: torchrl (the fused one cannot serve: %s)", error)
+        line = f"collector: torchrl (the fused one cannot serve: {error})"
+    if announce:
+        logger.info(line)
     return collector

@@ -18,7 +18,7 @@ from torchrl.envs.utils import ExplorationType
 
 from trl_explore.checks import check_integer
 from trl_explore.envs import LaneVectorEnv, lane_env
-from trl_explore.strategies import Strategy
+from trl_explore.strategies import BaseStrategy
 
 
 class EpisodeCollector(BaseCollector):
@@ -31,7 +31,7 @@ class EpisodeCollector(BaseCollector):
 
         trial              [frames]               int64, the row of the policy's parameters
         observation        [frames, n_features]   the policy's input
-        action             [frames]               int64
+        action             [frames]               int64; [frames, n_dims] where continuous
         action_log_prob    [frames]               nats, under μ, where that exists exactly
         next.reward        [frames, 1]            float32
         next.done, next.terminated, next.truncated  [frames, 1]  bool
@@ -46,18 +46,19 @@ class EpisodeCollector(BaseCollector):
         policy: ``TensorDictSequential(policy, strategy)``.
 
     Keyword Args:
-        exploration_type: RANDOM or None explores; the others take the argmax.
+        exploration_type: RANDOM or None explores; the others take the argmax, or the mean.
         total_frames: iteration ends when this many frames have been delivered; −1: never.
         episodes_per_update: how many episodes of every active trial one call collects.
 
     Raises:
-        ValueError: if an argument is out of range.
+        ValueError: if an argument is out of range, or the strategy does not draw actions of the
+            environment's kind.
 
     Example:
         >>> from tensordict.nn import TensorDictSequential
         >>> from trl_explore.collectors import TorchRLCollector
         >>> from trl_explore.envs import make_env
-        >>> from trl_explore.policy import LinearPolicy
+        >>> from trl_explore.policies import LinearPolicy
         >>> from trl_explore.strategies import EpsilonGreedy
         >>> env = make_env("CartPole-v1", trials=3)
         >>> policy = TensorDictSequential(LinearPolicy(env), EpsilonGreedy(0.3))
@@ -84,6 +85,7 @@ class EpisodeCollector(BaseCollector):
         self.total_frames = total_frames
         self.episodes_per_update = check_integer("episodes_per_update", episodes_per_update, 1)
         lanes = self.lanes
+        self.strategy.serve(env.action_spec)
         self.strategy.bind(
             policy[0], lanes.num_envs, seed=lanes.seed, first_trial=lanes.first_trial
         )
@@ -92,10 +94,10 @@ class EpisodeCollector(BaseCollector):
         self.closed = False
 
     @property
-    def strategy(self) -> Strategy:
+    def strategy(self) -> BaseStrategy:
         """The strategy at the end of the policy."""
         strategy = self.policy[-1]
-        if not isinstance(strategy, Strategy):
+        if not isinstance(strategy, BaseStrategy):
             raise ValueError(
                 "the collector's policy must be TensorDictSequential(policy, strategy); "
                 f"its last module is a {type(strategy).__name__}"

@@ -26,10 +26,10 @@ from torchrl.envs.utils import ExplorationType
 from trl_explore.checks import check_integer
 from trl_explore.collectors.base import EpisodeCollector
 from trl_explore.collectors.loop import compile_loop, scratch
+from trl_explore.collectors.networks import Network, arrays, network_of
 from trl_explore.envs import lane_env
 from trl_explore.kernels import Kernel, kernel_of
-from trl_explore.policy import LinearPolicy
-from trl_explore.strategies import MixtureStrategy, Strategy
+from trl_explore.strategies import BaseStrategy, MixtureStrategy, Strategy
 from trl_explore.streams import Stream, key
 from trl_explore.threads import pool
 
@@ -38,7 +38,7 @@ TRANSFORMS = (StepCounter, RewardSum)
 
 MIN_TRIALS = 64
 """Trials for each thread below which dividing them costs more than it saves."""
-ROOT = ("trial", "observation", "action", "action_log_prob")
+ROOT = ("trial", "observation", "action", "action_log_prob", "action_mask")
 NEXT = ("reward", "done", "terminated", "truncated", "step_count", "episode_reward")
 
 
@@ -49,8 +49,8 @@ class NotCompilableError(ValueError):
 class Columns:
     """Flat arrays for frames, kept from call to call, that grow when an episode might not fit."""
 
-    def __init__(self, n_features: int) -> None:
-        self.n_features = n_features
+    def __init__(self, n_features: int, n_masks: int = 0) -> None:
+        self.n_features, self.n_masks = n_features, n_masks
         self.capacity = 0
         self.arrays: tuple[NDArray[Any], ...] = ()
 
@@ -69,13 +69,15 @@ class Columns:
             ((), np.bool_),  # truncated
             ((), np.int64),  # step_count
             ((), np.float32),  # episode_reward
+            ((self.n_masks,), np.bool_),  # action_mask
         )
         grown = tuple(np.empty((capacity, *shape), dtype) for shape, dtype in shapes)
         for new, old in zip(grown, self.arrays, strict=False):
             new[:used] = old[:used]
         self.capacity, self.arrays = capacity, grown
-        self._root = dict(zip(ROOT, map(torch.from_numpy, grown[:4]), strict=True))
-        after = (torch.from_numpy(array).unsqueeze(-1) for array in grown[4:])
+        root = (*grown[:4], *([grown[10]] if self.n_masks else []))
+        self._root = dict(zip(ROOT, map(torch.from_numpy, root), strict=False))
+        after = (torch.from_numpy(array).unsqueeze(-1) for array in grown[4:10])
         self._next = dict(zip(NEXT, after, strict=True))
 
     def frames(self, n: int) -> TensorDict:
@@ -112,25 +114,35 @@ class FusedCollector(EpisodeCollector):
         **options: Any,
     ) -> None:
         super().__init__(env, policy, exploration_type=exploration_type, **options)
-        self.kernel = compilable(env, policy)
-        self._loop = compile_loop(self.kernel)
-        self._weight = linear_weight(policy)
+        self.kernel, self.network, self._parameters = compilable(env, policy)
+        if self.episodes_per_update > 1 and type(self.strategy).begin is not BaseStrategy.begin:
+            name = type(self.strategy).__name__
+            raise NotCompilableError(f"{name} prepares for every episode, and there are several")
+        masked = has_mask(env)
+        self._loop = compile_loop(self.kernel, self.network, masked)
         self.threads = check_integer("threads", threads, 1)
-        steps = self.lanes.max_steps
+        n_masks = self.kernel.n_actions if masked else 0
         self._workers = [
-            (Columns(self.kernel.n_features), scratch(self.kernel, steps)) for _ in range(threads)
+            (
+                Columns(self.kernel.n_features, n_masks),
+                scratch(self.kernel, self.network, self.lanes.max_steps, masked),
+            )
+            for _ in range(threads)
         ]
 
     def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
         trials = np.repeat(np.flatnonzero(active), self.episodes_per_update)
         self.strategy.begin(active, self.episodes)
+        explore = self.exploration_type == ExplorationType.RANDOM
+        strategy = cast(MixtureStrategy, self.strategy)
+        acting = strategy.behaviour_parameters(self._parameters) if explore else self._parameters
         context = (
             self.lanes.first_trial,
             key(self.lanes.seed, self.lanes.stream),
             key(self.lanes.seed, Stream.ACTION),
-            self._weight.detach().numpy(),
+            arrays(self.network, acting),
             self._mixture(),
-            self.exploration_type == ExplorationType.RANDOM,
+            explore,
         )
         numbers = np.arange(len(trials)) % self.episodes_per_update
         episodes = self.episodes[trials] + numbers
@@ -187,20 +199,15 @@ class FusedCollector(EpisodeCollector):
         return np.stack(np.broadcast_arrays(*map(np.atleast_1d, point))).astype(np.float64)
 
 
-def linear_weight(policy: TensorDictSequential) -> nn.Parameter:
-    """The weights [trials, n_actions, n_features] of a linear policy followed by a strategy.
-
-    Raises:
-        NotCompilableError: if it is another policy.
-    """
-    linear = policy[0]
-    if len(policy) == 2 and type(linear) is LinearPolicy:
-        return linear.module.weight  # type: ignore[return-value]
-    raise NotCompilableError("the policy is not a LinearPolicy")
+def has_mask(env: TransformedEnv) -> bool:
+    """Whether an environment says which actions are allowed."""
+    return env.observation_spec.get("action_mask", None) is not None
 
 
-def compilable(env: TransformedEnv, policy: TensorDictSequential) -> Kernel:
-    """The kernel that serves an environment, if the policy and strategy can be compiled too.
+def compilable(
+    env: TransformedEnv, policy: TensorDictSequential
+) -> tuple[Kernel, Network, list[nn.Parameter]]:
+    """The kernel that serves an environment, and the policy's code and parameters.
 
     Raises:
         NotCompilableError: with the reason.
@@ -213,27 +220,51 @@ def compilable(env: TransformedEnv, policy: TensorDictSequential) -> Kernel:
     for transform in cast(Iterable[Transform], env.transform or ()):
         if type(transform) not in TRANSFORMS:
             raise NotCompilableError(f"the transform {type(transform).__name__} is not known to it")
-    linear_weight(policy)
+    served = network_of(policy[0]) if len(policy) == 2 else None
+    if served is None:
+        raise NotCompilableError(f"the policy {_names(policy)} is not known to it")
     check_strategy(policy[1])
     try:
         kernel = kernel_of(lane)
     except LookupError as error:
         raise NotCompilableError(str(error.args[0])) from None
-    if kernel.mask is not None:
-        raise NotCompilableError("the environment has action masks")
-    weight, sizes = linear_weight(policy), (kernel.n_actions, kernel.n_features)
+    if has_mask(env) and kernel.mask is None:
+        raise NotCompilableError(f"the kernel of {type(lane).__name__} has no action mask")
+    check_sizes(env, kernel, *served)
+    return kernel, *served
+
+
+def _names(policy: TensorDictSequential) -> str:
+    """The modules before the strategy."""
+    return ", ".join(type(module).__name__ for module in policy.module[:-1])
+
+
+def check_sizes(
+    env: TransformedEnv, kernel: Kernel, network: Network, parameters: list[nn.Parameter]
+) -> None:
+    """Compiled code reads beside an array that is too short: compare all sizes before.
+
+    Raises:
+        NotCompilableError: with those that differ.
+    """
+    sizes = (kernel.n_actions, kernel.n_features)
     lanes = lane_env(env)
     served = (int(lanes.single_action_space.n), *(lanes.single_observation_space.shape or ()))  # type: ignore[attr-defined]
     if served != sizes:
         raise NotCompilableError(
             f"the kernel is made for (actions, features) {sizes}, not {served}"
         )
-    if weight.shape != (lanes.num_envs, *sizes) or weight.dtype != torch.float32:
+    first = parameters[0]
+    if (network.sizes[-1], network.sizes[0]) != sizes or len(first) != lanes.num_envs:
         raise NotCompilableError(
-            f"the weights are {list(weight.shape)} {weight.dtype}, "
-            f"not {[lanes.num_envs, *sizes]} torch.float32"
+            f"the weights are {list(first.shape)} for (trials, actions, features) "
+            f"{(lanes.num_envs, *sizes)}"
         )
-    return kernel
+    for parameter in parameters:
+        if parameter.dtype != torch.float32 or not parameter.is_cpu:
+            raise NotCompilableError(
+                f"the weights are {parameter.dtype} on {parameter.device}, not torch.float32 on cpu"
+            )
 
 
 def check_strategy(strategy: Any) -> None:
@@ -247,6 +278,11 @@ def check_strategy(strategy: Any) -> None:
         raise NotCompilableError(f"{name} is not a mixture of argmax, softmax and uniform")
     if kind.probs is not MixtureStrategy.probs or kind.forward is not Strategy.forward:
         raise NotCompilableError(f"{name} changes probs or forward")
+    if kind.explore is not Strategy.explore:
+        raise NotCompilableError(f"{name} draws its actions in a way of its own")
+    unstated = kind.behaviour_parameters is MixtureStrategy.behaviour_parameters
+    if kind.preferences is not Strategy.preferences and unstated:
+        raise NotCompilableError(f"{name} changes the logits, and not by the parameters")
     keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
     if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
         raise NotCompilableError(f"{name} has a one-hot action or renamed entries")

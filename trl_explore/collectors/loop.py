@@ -1,4 +1,4 @@
-"""Whole episodes in machine code: environment, linear-softmax policy and mixture strategy in one.
+"""Whole episodes in machine code: environment, policy and mixture strategy in one.
 
 Each operation is that of the TorchRL collector, in the same order and precision: states in
 float64, observations, logits and probabilities in float32, the inverse CDF in float64.
@@ -23,9 +23,11 @@ from typing import Any
 import numba as nb
 import numpy as np
 from numba.core.caching import FunctionCache
-from numpy.typing import NDArray
 
-from trl_explore import kernels
+from trl_explore import kernels, ops
+from trl_explore.collectors import mixing, networks
+from trl_explore.collectors.mixing import draw, mix
+from trl_explore.collectors.networks import Network, compile_network
 from trl_explore.kernels import Kernel
 from trl_explore.kernels.base import kernel_function
 from trl_explore.kernels.borrow import borrow
@@ -36,10 +38,13 @@ GROUP = 32
 SCRATCH_BYTES = 1 << 22
 """The scratch of a group should stay in the processor's cache."""
 
-SOURCES = (__file__, *(Path(kernels.__file__).with_name(f"{n}.py") for n in ("philox", "borrow")))
+SOURCES = (
+    *(__file__, mixing.__file__, networks.__file__),
+    *(Path(kernels.__file__).with_name(f"{name}.py") for name in ("philox", "borrow")),
+    *(Path(ops.__file__).with_name(f"{name}.py") for name in ("activation", "linear")),
+)
 """The files that are compiled into the loop, besides the kernel's own."""
 
-_TINY, _HUGE = np.float32(np.finfo(np.float32).tiny), np.float32(np.finfo(np.float32).max)
 _ZERO, _ONE = np.uint64(0), np.uint64(1)
 
 
@@ -56,75 +61,92 @@ class _Cache(FunctionCache):
         return sig, codegen.magic_tuple(), self.digest
 
 
-def scratch(kernel: Kernel, max_steps: int) -> tuple[NDArray[Any], ...]:
+def scratch(kernel: Kernel, network: Network, max_steps: int, masked: bool) -> tuple[Any, ...]:
     """Memory for a group of episodes.
 
-    Observation, action, μ(action), reward by episode and step; the number of steps, whether the
-    last one terminated, and state, random stream and four action noises by episode.
+    Observation, action, μ(action), reward, action mask by episode and step; the number of steps,
+    whether the last one terminated, and state, random stream and four action noises by episode;
+    the weights of the policy by episode, and its hidden units.
     """
-    per_episode = max_steps * (4 * kernel.n_features + 9)
-    n = max(1, min(GROUP, SCRATCH_BYTES // per_episode))
+    n_masks = kernel.n_actions if masked else 0
+    per_episode = max_steps * (4 * kernel.n_features + 9 + n_masks)
+    n = max(1, min(GROUP, SCRATCH_BYTES // per_episode, network.group()))
     return (
         np.empty((n, max_steps, kernel.n_features), dtype=np.float32),
         np.empty((n, max_steps), dtype=np.int8 if kernel.n_actions < 128 else np.int64),
         np.empty((n, max_steps), dtype=np.float32),
         np.empty((n, max_steps), dtype=np.float32),
+        np.empty((n, max_steps, n_masks), dtype=np.bool_),
         np.empty(n, dtype=np.int64),
         np.empty(n, dtype=np.bool_),
         np.empty((n, kernel.state_size), dtype=np.float64),
         np.empty((n, STATE_SIZE), dtype=np.uint64),
         np.empty((n, 4), dtype=np.float64),
+        *network.memory(n),
     )
 
 
-def compile_loop(kernel: Kernel) -> Callable[..., tuple[int, int]]:
-    """The episode loop around a kernel; compiled when first called, or loaded from disk.
+def compile_loop(
+    kernel: Kernel, network: Network, masked: bool = False
+) -> Callable[..., tuple[int, int]]:
+    """The episode loop around a kernel and a policy; compiled when first called, or from disk.
 
     The function returned has the signature
 
-        loop(parameters, trials, episodes, first_trial, env_key, action_key, weight, mixture,
+        loop(parameters, trials, episodes, first_trial, env_key, action_key, weights, mixture,
              explore, memory, columns, start) -> (trials done, end)
 
-    with trials and episodes [m] int64 (rows of ``weight`` and the numbers of their episodes),
-    weight [*, n_actions, n_features] float32, mixture [4, 1 or *] float64 (greedy, softmax,
-    uniform, temperature), explore whether to draw actions or to take the first of largest logit,
-    memory the arrays of ``scratch``, and columns the arrays of ``fused.Columns``, which it fills
-    from frame ``start`` on. It stops before a group of trials whose episodes do not fit.
+    with trials and episodes [m] int64 (rows of the weights and the numbers of their episodes),
+    weights of ``networks.arrays``, mixture [4, 1 or *] float64 (greedy, softmax, uniform,
+    temperature), explore whether to draw actions or to take the first of largest logit, memory of
+    ``scratch``, and columns the arrays of ``fused.Columns``, which it fills from frame ``start``
+    on. It stops before a group of trials whose episodes do not fit.
+
+    Args:
+        kernel: the environment.
+        network: the policy.
+        masked: whether the kernel's action masks are obeyed, and written to the columns.
     """
-    functions = (kernel.reset, kernel.step, kernel.observe)
-    return _compile(*functions, kernel.n_actions, kernel.n_features, kernel.digest)
+    functions = (kernel.reset, kernel.step, kernel.observe, kernel.mask if masked else None)
+    return _compile(*functions, network, kernel.digest)
 
 
 @lru_cache(maxsize=32)
-def _compile(  # noqa: C901 - four small functions that close over the kernel's
-    reset: Any, step: Any, observe: Any, n_actions: int, n_features: int, digest: str
+def _compile(  # noqa: C901 - small functions that close over the kernel's and the policy's
+    reset: Any, step: Any, observe: Any, mask: Any, network: Network, digest: str
 ) -> Callable[..., tuple[int, int]]:
+    n_actions = network.sizes[-1]
+    masked, allow = mask is not None, _all_allowed if mask is None else mask
+    load, logits = compile_network(network)
+
     @kernel_function
-    def begin_episodes(group, episodes, first_trial, env_key, parameters, memory):
-        state, rng = borrow(memory[6]), borrow(memory[7])
+    def begin_episodes(group, episodes, first_trial, env_key, weights, parameters, memory):
+        state, rng = borrow(memory[7]), borrow(memory[8])
         for j in range(len(group)):
             trial = np.uint64(first_trial + group[j])
             begin(rng[j], env_key, np.uint64(episodes[j]), trial)
             reset(parameters, state[j], rng[j])
+            load(weights, group[j], j, memory[10])
 
     @kernel_function
-    def act(t, running, group, weight, mixture, explore, parameters, memory, probs, work):
+    def act(t, running, group, weights, mixture, explore, parameters, memory, probs, work):
         """Observe, and draw an action, in every running episode."""
         observation, action, chance = borrow(memory[0]), borrow(memory[1]), borrow(memory[2])
-        state, noise = borrow(memory[6]), borrow(memory[8])
+        allowed, state, noise = borrow(memory[4]), borrow(memory[7]), borrow(memory[9])
         for r in range(len(running)):
             j = running[r]
             row = group[j]
             x = observation[j, t]
             observe(parameters, state[j], x)
-            for a in range(n_actions):
-                logit = weight[row, a, 0] * x[0]
-                for k in range(1, n_features):
-                    logit += weight[row, a, k] * x[k]
-                probs[a] = logit
+            logits(weights, row, j, memory[10], memory[11], x, probs)
+            if masked:
+                legal = allowed[j, t]
+                allow(parameters, state[j], legal)
+                for a in range(n_actions):
+                    probs[a] = probs[a] if legal[a] else -np.inf
             if explore:
-                _mix(probs, work, mixture, row if mixture.shape[1] > 1 else 0)
-                chosen = _draw(probs, noise[j, t & 3])
+                mix(probs, work, mixture, row if mixture.shape[1] > 1 else 0)
+                chosen = draw(probs, noise[j, t & 3])
                 chance[j, t] = probs[chosen]
             else:
                 chosen = np.argmax(probs)
@@ -134,8 +156,8 @@ def _compile(  # noqa: C901 - four small functions that close over the kernel's
     @kernel_function
     def advance(t, running, parameters, memory):
         """Step every running episode; those that go on move to the front, and are counted."""
-        action, reward, steps = borrow(memory[1]), borrow(memory[3]), borrow(memory[4])
-        terminated, state, rng = borrow(memory[5]), borrow(memory[6]), borrow(memory[7])
+        action, reward, steps = borrow(memory[1]), borrow(memory[3]), borrow(memory[5])
+        terminated, state, rng = borrow(memory[6]), borrow(memory[7]), borrow(memory[8])
         left = 0
         for r in range(len(running)):
             j = running[r]
@@ -148,19 +170,18 @@ def _compile(  # noqa: C901 - four small functions that close over the kernel's
         return left
 
     def loop(
-        parameters, trials, episodes, first_trial, env_key, action_key, weight, mixture,
+        parameters, trials, episodes, first_trial, env_key, action_key, weights, mixture,
         explore, memory, columns, start,
     ):  # fmt: skip
-        size = len(memory[4])
+        size = len(memory[5])
         own_running = np.empty(size, dtype=np.int64)
         own_probs = np.empty(n_actions, dtype=np.float32)
         own_work = np.empty(n_actions, dtype=np.float32)
         running, probs, work = borrow(own_running), borrow(own_probs), borrow(own_work)
-        rows = borrow(weight)
         end = start
         for first in range(0, len(trials), size):
             group, numbers = trials[first : first + size], episodes[first : first + size]
-            begin_episodes(group, numbers, first_trial, env_key, parameters, memory)
+            begin_episodes(group, numbers, first_trial, env_key, weights, parameters, memory)
             left = len(group)
             for j in range(left):
                 running[j] = j
@@ -169,35 +190,40 @@ def _compile(  # noqa: C901 - four small functions that close over the kernel's
                 if t & 3 == 0:
                     _draw_noise(t, running[:left], group, numbers, first_trial, action_key, memory)
                 act(
-                    t, running[:left], group, rows, mixture, explore, parameters, memory,
+                    t, running[:left], group, weights, mixture, explore, parameters, memory,
                     probs, work,
                 )  # fmt: skip
                 left = advance(t, running[:left], parameters, memory)
                 t += 1
             total = 0
             for j in range(len(group)):
-                total += memory[4][j]
+                total += memory[5][j]
             if end + total > len(columns[0]):
                 return first, end
             for j in range(len(group)):
                 _deliver(memory, columns, j, group[j], end)
-                end += memory[4][j]
+                end += memory[5][j]
         own_running[0] = np.int64(own_probs[0] + own_work[0])  # keeps them alive to here
         return len(trials), end
 
     compiled = nb.njit(nogil=True, error_model="numpy")(loop)
     cache = _Cache(loop)
     inlined = [Path(file).read_bytes() for file in SOURCES]
-    parts = (*inlined, digest.encode(), repr((n_actions, n_features)).encode())
+    parts = (*inlined, digest.encode(), repr((network, masked)).encode())
     cache.digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
     compiled._cache = cache
     return compiled
 
 
 @kernel_function
+def _all_allowed(parameters, state, mask):
+    """Stands for the action mask where there is none; never called."""
+
+
+@kernel_function
 def _draw_noise(t, running, group, episodes, first_trial, action_key, memory):
     """The action noise of the steps t to t + 3, from each trial's own stream."""
-    noise = borrow(memory[8])
+    noise = borrow(memory[9])
     block = np.uint64(t >> 2) + _ONE
     for r in range(len(running)):
         j = running[r]
@@ -209,86 +235,12 @@ def _draw_noise(t, running, group, episodes, first_trial, action_key, memory):
         noise[j, 2], noise[j, 3] = to_unit(b2), to_unit(b3)
 
 
-@kernel_function
-def _softmax_of_two(probs, temperature):
-    """Softmax of two logits in place, with one exponential."""
-    one = np.float32(1)
-    d = (probs[0] - probs[1]) / temperature
-    e = np.float32(math.exp(-abs(d)))
-    larger = one / (one + e)
-    first = d > 0
-    probs[0] = larger if first else e * larger
-    probs[1] = e * larger if first else larger
-
-
-@kernel_function
-def _mix(probs, work, mixture, column):
-    """Turn logits into μ in place (``strategies.mixture_probs``)."""
-    n = len(probs)
-    greedy, soft = np.float32(mixture[0, column]), np.float32(mixture[1, column])
-    uniform = np.float32(mixture[2, column])
-    temperature = min(max(np.float32(mixture[3, column]), _TINY), _HUGE)
-    if n == 2 and soft == 1:  # the common case
-        _softmax_of_two(probs, temperature)
-        return
-    largest = probs[0]
-    for k in range(1, n):
-        largest = max(largest, probs[k])
-    work[:] = 0
-    if soft != 0:
-        _add_softmax(probs, work, soft, largest, temperature)
-    if greedy != 0:
-        _add_greedy(probs, work, greedy, largest)
-    if uniform != 0:
-        for k in range(n):
-            work[k] += uniform * (np.float32(1) / np.float32(n))
-    for k in range(n):
-        probs[k] = work[k]
-
-
-@kernel_function
-def _add_softmax(logits, work, weight, largest, temperature):
-    total = np.float32(0)
-    for k in range(len(logits)):
-        work[k] = math.exp((logits[k] - largest) / temperature)
-        total += work[k]
-    for k in range(len(logits)):
-        work[k] = weight * (work[k] / total)
-
-
-@kernel_function
-def _add_greedy(logits, work, weight, largest):
-    ties = np.float32(0)
-    for k in range(len(logits)):
-        ties += np.float32(logits[k] == largest)
-    for k in range(len(logits)):
-        work[k] += weight * (np.float32(logits[k] == largest) / ties)
-
-
-@kernel_function
-def _draw(probs, u):
-    """The action that ``u`` selects (``strategies.inverse_cdf``)."""
-    n = len(probs)
-    total = 0.0
-    for k in range(n):
-        total += np.float64(probs[k])
-    point = u * total
-    if point >= total:
-        point = np.nextafter(total, 0.0)
-    below = 0.0
-    chosen = 0
-    for k in range(n - 1):
-        below += np.float64(probs[k])
-        chosen += below <= point
-    return chosen
-
-
 @nb.njit(error_model="numpy")
-def _deliver(memory, columns, j, row, start):
+def _deliver(memory, columns, j, row, start):  # noqa: C901 - one loop for each column
     """Write episode j of a group to the frames from ``start`` on."""
-    x, a, chance, r, steps, ended = memory[:6]
+    x, a, chance, r, allowed, steps, ended = memory[:7]
     (trial, observation, action, action_log_prob, reward, done, terminated, truncated,
-     step_count, episode_reward) = columns  # fmt: skip
+     step_count, episode_reward, action_mask) = columns  # fmt: skip
     n = steps[j]
     for t in range(n):  # one loop for each column: the simple ones become vector instructions
         trial[start + t] = row
@@ -305,6 +257,9 @@ def _deliver(memory, columns, j, row, start):
         done[start + t] = terminated[start + t] = truncated[start + t] = False
     for t in range(n):
         step_count[start + t] = t + 1
+    for t in range(n):
+        for k in range(action_mask.shape[1]):
+            action_mask[start + t, k] = allowed[j, t, k]
     total = np.float32(0)
     for t in range(n):
         total += r[j, t]

@@ -9,8 +9,16 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
-GROUPS = ("env", "policy", "strategy", "loss", "optimizer", "collector")
-INERT = ("output_dir", "restart", "threads", "episodes", "collector.threads", "env.workers")
+GROUPS = (
+    "env", "policy", "strategy", "loss", "correction", "baseline", "optimizer", "collector",
+)  # fmt: skip
+SCHEDULE = "schedule@"
+"""How a choice begins that lets a parameter follow a file of ``conf/schedule``:
+``+schedule@strategy.temperature=linear``."""
+INERT = (
+    "output_dir", "restart", "threads", "episodes", "collector.threads", "env.workers",
+    "checkpoint_seconds",
+)  # fmt: skip
 """Keys that change no result: they are not part of a job's name or identity."""
 
 
@@ -31,7 +39,20 @@ def defaults_of(choices: Mapping[str, str | None]) -> DictConfig:
     assert isinstance(defaults, DictConfig)
     for key in ("defaults", "hydra"):
         defaults.pop(key, None)
+    for key, option in schedules_of(choices).items():
+        path = CONF / "schedule" / f"{option}.yaml"
+        if path.is_file() and OmegaConf.select(defaults, key) is not None:
+            OmegaConf.update(defaults, key, OmegaConf.load(path), merge=False)
     return defaults
+
+
+def schedules_of(choices: Mapping[str, str | None]) -> dict[str, str]:
+    """Which parameters follow a file of ``conf/schedule``, and which file."""
+    return {
+        key.removeprefix(SCHEDULE): str(option)
+        for key, option in sorted(choices.items())
+        if key.startswith(SCHEDULE)
+    }
 
 
 def same(value: Any, default: Any) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +12,16 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from trl_explore.checks import LARGEST, MAX_THREADS, check_integer
+from trl_explore.checks import LARGEST, MAX_THREADS, check_integer, check_number
 from trl_explore.config.base import ConfigError
 from trl_explore.config.checking import describe
+from trl_explore.config.kinds import check_actions
 
 if TYPE_CHECKING:
+    from torch import nn
+
+    from trl_explore.baselines import Baseline
+    from trl_explore.evaluation import Evaluator
     from trl_explore.trainer import Trainer
 
 INTEGERS = {
@@ -25,8 +30,11 @@ INTEGERS = {
     "first_trial": (0, LARGEST - 10**7),
     "threads": (1, MAX_THREADS),
     "episodes_per_update": (1, 10**6),
+    "evaluate_every": (0, 10**9),
+    "evaluate_episodes": (1, 10**6),
 }
 """Keys of the top level that hold an integer, and its bounds."""
+STOP_ON = ("training", "evaluation")
 STOPPING = ("max_iterations", "score_threshold", "score_window")
 """What an environment's file says of the stopping rule; the trainer's business."""
 
@@ -58,13 +66,15 @@ def build_trainer(config: DictConfig) -> Trainer:
     """
     from tensordict.nn import TensorDictSequential
 
-    from trl_explore.actor import SoftmaxActor
+    from trl_explore.actor import actor_of
+    from trl_explore.diagnostics import Diagnostics
     from trl_explore.trainer import Trainer
     from trl_explore.trials import Trials
 
     fill_threshold(config)
     for key, (low, high) in INTEGERS.items():
         _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))
+    _build(None, lambda: check_number("checkpoint_seconds", config.checkpoint_seconds, 0))
     trials = _build(
         None,
         lambda: Trials(
@@ -77,11 +87,76 @@ def build_trainer(config: DictConfig) -> Trainer:
     streams = {"seed": config.seed, "first_trial": config.first_trial}
     strategy = _instantiate(config, "strategy")()
     env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
+    check_actions(config, env.action_spec.domain)
     policy = _instantiate(config, "policy")(env=env, **streams)
-    optimizer = _instantiate(config, "optimizer")(policy.parameters())
-    loss = _instantiate(config, "loss")(SoftmaxActor(policy), trials=config.trials)
+    baseline = _instantiate(config, "baseline")()
+    baseline.bind(env)
+    optimizer = _instantiate(config, "optimizer")(_parameters(policy, baseline))
+    actor = actor_of(policy)
+    loss = _instantiate(config, "loss")(
+        actor,
+        correction=_instantiate(config, "correction")(),
+        baseline=baseline,
+        strategy=strategy,
+        trials=config.trials,
+    )
     collector = _instantiate(config, "collector")(env, TensorDictSequential(policy, strategy))
-    return _build("loss", lambda: Trainer(collector, loss, optimizer, trials))
+    diagnostics = None
+    if config.diagnostics:
+        diagnostics = Diagnostics(actor, strategy, config.trials, policy.parameters())
+    evaluator = _evaluator(config, policy, strategy)
+    return _build(
+        None,
+        lambda: Trainer(
+            collector,
+            loss,
+            optimizer,
+            trials,
+            evaluator=evaluator,
+            stop_on_evaluation=config.stop_on == "evaluation",
+            diagnostics=diagnostics,
+        ),
+    )
+
+
+def _evaluator(config: DictConfig, policy: Any, strategy: Any) -> Evaluator | None:
+    """What plays the greedy policy; None: nothing does."""
+    from tensordict.nn import TensorDictSequential
+    from torchrl.envs.utils import ExplorationType
+
+    from trl_explore.collectors import auto_collector
+    from trl_explore.evaluation import Evaluator
+    from trl_explore.streams import Stream
+
+    if config.stop_on not in STOP_ON:
+        raise ConfigError(f"stop_on must be one of {', '.join(STOP_ON)}, got {config.stop_on!r}")
+    if not config.evaluate_every:
+        return None
+    streams = {"seed": config.seed, "first_trial": config.first_trial, "stream": Stream.EVALUATION}
+    env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
+    greedy = TensorDictSequential(policy, strategy.exploiting())
+    collector = auto_collector(
+        env,
+        greedy,
+        threads=config.threads,
+        announce=False,
+        exploration_type=ExplorationType.DETERMINISTIC,
+        episodes_per_update=config.evaluate_episodes,
+    )
+    return Evaluator(
+        collector,
+        every=config.evaluate_every,
+        score_window=config.score_window,
+        score_threshold=config.score_threshold,
+    )
+
+
+def _parameters(policy: nn.Module, baseline: Baseline) -> Iterable[Any]:
+    """What the optimiser moves: the policy, and the baseline at a learning rate of its own."""
+    learned = list(baseline.parameters())
+    if not learned:
+        return policy.parameters()
+    return [{"params": list(policy.parameters())}, {"params": learned, "lr": baseline.lr}]
 
 
 def _instantiate(

@@ -11,7 +11,15 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from trl_explore.checks import first_line
-from trl_explore.config.base import CONF, GROUPS, INERT, ConfigError, defaults_of, same
+from trl_explore.config.base import (
+    CONF,
+    GROUPS,
+    INERT,
+    ConfigError,
+    defaults_of,
+    same,
+    schedules_of,
+)
 
 
 def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
@@ -20,17 +28,26 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
     Raises:
         ConfigError: naming the key and the known ones.
     """
-    known = set(defaults_of(choices))
+    for name in schedules_of(choices):
+        if not re.fullmatch(r"strategy\.\w+", name):
+            raise ConfigError(
+                "a schedule belongs to a parameter of the strategy, "
+                f"+schedule@strategy.NAME=…, got {name!r}"
+            )
+    defaults = defaults_of(choices)
+    known = set(defaults)
     for name in config:
         if name not in known:
             raise ConfigError(f"unknown key {name!r}; known: {', '.join(sorted(known))}")
     for name in sorted(known - {str(key) for key in config}):
         raise ConfigError(f"the key {name!r} has been removed, but is needed")
-    for name in ("episodes", "restart"):
+    for name in ("episodes", "restart", "diagnostics"):
         if not isinstance(config[name], bool):
             raise ConfigError(f"{name} must be true or false, got {config[name]!r}")
     for group in GROUPS:
         _check_group(config, group, choices.get(group))
+    for name, expected in defaults.strategy.items():
+        _check_schedule(config, str(name), expected, choices)
 
 
 def _check_group(config: DictConfig, group: str, option: str | None) -> None:
@@ -48,6 +65,25 @@ def _check_group(config: DictConfig, group: str, option: str | None) -> None:
         )
     for name in sorted(allowed - given):
         raise ConfigError(f"the key '{group}.{name}' has been removed, but is needed")
+
+
+def _check_schedule(
+    config: DictConfig, name: str, expected: Any, choices: Mapping[str, str | None]
+) -> None:
+    """Refuse a key that the schedule of a parameter does not have."""
+    node = config.strategy[name]
+    if not isinstance(expected, DictConfig) or not isinstance(node, DictConfig):
+        return
+    if node.get("_target_") != expected.get("_target_"):
+        return  # a schedule of the user's own; the constructor checks
+    for key in sorted({str(key) for key in node} - {str(key) for key in expected}):
+        has = ", ".join(sorted(str(k) for k in expected if not str(k).startswith("_")))
+        option = choices.get("strategy")
+        own = OmegaConf.select(OmegaConf.load(CONF / "strategy" / f"{option}.yaml"), name)
+        hint = ""
+        if isinstance(own, DictConfig) and f"strategy.{name}" in schedules_of(choices):
+            hint = f"; strategy={option} has a schedule of its own, which cannot be exchanged"
+        raise ConfigError(f"unknown key 'strategy.{name}.{key}'; this schedule has: {has}{hint}")
 
 
 def resolved(config: DictConfig) -> dict[str, Any]:

@@ -10,7 +10,15 @@ from urllib.parse import quote
 
 from omegaconf import DictConfig, OmegaConf
 
-from trl_explore.config.base import CONF, GROUPS, INERT, ConfigError, defaults_of, same
+from trl_explore.config.base import (
+    CONF,
+    GROUPS,
+    INERT,
+    ConfigError,
+    defaults_of,
+    same,
+    schedules_of,
+)
 
 ABSENT = object()
 """Stands for the default of a key that ``conf/`` does not have."""
@@ -49,10 +57,13 @@ def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
         for group in GROUPS
         if group != "strategy" and choices.get(group) != _default_choices()[group]
     ]
+    parts += [
+        f"{key.removeprefix('strategy.')}={option}" for key, option in schedules_of(choices).items()
+    ]
     leaves = _leaves(defaults, config)
     for key in sorted(leaves, key=lambda key: (not key.startswith("strategy."), key)):
         value, default = OmegaConf.select(config, key), leaves[key]
-        shown_always = key.startswith("strategy.") and not key.startswith("strategy._")
+        shown_always = key.startswith("strategy.") and "._" not in key
         usual = default is not ABSENT and same(value, default)
         if key in INERT or (usual and not shown_always):
             continue

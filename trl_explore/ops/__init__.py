@@ -5,13 +5,18 @@ compiled, for flat frames on the CPU. No sum runs over the frames of more than o
 every sum runs in the order of the frames, so that a trial does not depend on its neighbours.
 """
 
+from trl_explore.ops.activation import activate
+from trl_explore.ops.gaussian import gaussian_entropy, gaussian_log_prob
 from trl_explore.ops.linear import lane_linear
 from trl_explore.ops.log_prob import categorical_log_prob
 from trl_explore.ops.returns import return_to_go
 from trl_explore.ops.score import lane_sum, linear_softmax_score
 
 __all__ = [
+    "activate",
     "categorical_log_prob",
+    "gaussian_entropy",
+    "gaussian_log_prob",
     "lane_linear",
     "lane_sum",
     "linear_softmax_score",

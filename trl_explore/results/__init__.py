@@ -11,7 +11,8 @@ Beside the jobs, in the folder of their sweep:
     timings.csv             seconds of single trials, each run by itself (scripts/time_trials.py)
 
 A folder holds a finished job exactly if it holds ``run.json``. Every file appears at once and
-whole; what an interrupted job left behind is removed when the job starts again.
+whole. While a job is not finished, its folder also holds ``checkpoint/`` (see
+``trl_explore.checkpoint``), from which it goes on, and ``.lock`` while a process runs it.
 """
 
 from trl_explore.results.names import (
@@ -36,7 +37,7 @@ from trl_explore.results.reading import (
     read_trials,
     read_weights,
 )
-from trl_explore.results.writing import clear, write_job, write_timings
+from trl_explore.results.writing import clear, versions, write_job, write_timings
 
 __all__ = [
     "EPISODES",
@@ -58,6 +59,7 @@ __all__ = [
     "read_timings",
     "read_trials",
     "read_weights",
+    "versions",
     "write_job",
     "write_timings",
 ]

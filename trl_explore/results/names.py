@@ -8,6 +8,8 @@ TRIAL_COLUMNS = (
     "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
 )  # fmt: skip
 EPISODE_COLUMNS = ("trial", "iteration", "score", "frames")
+EVALUATIONS = "evaluations.csv"
+EVALUATION_COLUMNS = ("trial", "iteration", "score")
 TIMINGS = "timings.csv"
 TIMING_COLUMNS = ("experiment", "job", "trial", "seconds", "frames")
 RUN_KEYS = {

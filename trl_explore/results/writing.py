@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import shutil
 from collections.abc import Callable, Mapping
@@ -10,9 +11,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trl_explore.results.names import (
     EPISODE_COLUMNS,
     EPISODES,
+    EVALUATION_COLUMNS,
+    EVALUATIONS,
     PACKAGES,
     RUN,
     SCALARS,
@@ -27,14 +33,27 @@ if TYPE_CHECKING:
     import pandas as pd
     from torch import Tensor
 
+    from trl_explore.diagnostics import Diagnostics
+    from trl_explore.evaluation import Evaluator
     from trl_explore.trials import Trials
 
 
 def clear(job: Path) -> None:
     """Remove the results of a job, finished or not, from its folder; ``run.json`` first."""
-    for name in (RUN, TRIALS, EPISODES, WEIGHTS):
+    for name in (RUN, TRIALS, EPISODES, EVALUATIONS, WEIGHTS):
         (job / name).unlink(missing_ok=True)
-    shutil.rmtree(job / SCALARS, ignore_errors=True)
+    for temporary in job.glob(".*.tmp"):
+        if temporary.is_dir():
+            shutil.rmtree(temporary)
+        else:
+            temporary.unlink()
+    if (job / SCALARS).exists():
+        shutil.rmtree(job / SCALARS)
+
+
+def versions() -> dict[str, str]:
+    """What the bits of a result may depend on: Python and the packages, with their versions."""
+    return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}
 
 
 def write_job(
@@ -48,6 +67,8 @@ def write_job(
     collector: str,
     seconds: float,
     episodes: bool = True,
+    evaluator: Evaluator | None = None,
+    diagnostics: Diagnostics | None = None,
 ) -> None:
     """Write every file of a finished job.
 
@@ -61,10 +82,15 @@ def write_job(
         collector: name of the collector that was used.
         seconds: wall time of the training.
         episodes: whether to write ``episodes.csv``.
+        evaluator: what was evaluated, for ``evaluations.csv``.
+        diagnostics: what was recorded beside the scores, for further columns of ``episodes.csv``.
     """
     _write_text(job / TRIALS, _trials_csv(trials, config))
     if episodes:
-        _write_text(job / EPISODES, _episodes_csv(trials, config["first_trial"]))
+        extra = {} if diagnostics is None else diagnostics.columns()
+        _write_text(job / EPISODES, _episodes_csv(trials, config["first_trial"], extra))
+    if evaluator is not None:
+        _write_text(job / EVALUATIONS, _evaluations_csv(evaluator.rows(), config["first_trial"]))
     _write_scalars(job, trials)
     _write_weights(job / WEIGHTS, weights)
     run = {
@@ -76,9 +102,10 @@ def write_job(
         "collector": collector,
         "seconds": seconds,
         "config": config,
-        "versions": {"python": platform.python_version()} | {p: version(p) for p in PACKAGES},
+        "versions": versions(),
         "machine": {"system": platform.system(), "processor": platform.machine()},
     }
+    _sync(job)
     _write_text(job / RUN, json.dumps(run, indent=2) + "\n")
 
 
@@ -91,9 +118,19 @@ def _write_whole(path: Path, write: Callable[[Path], Any]) -> None:
     temporary = path.with_name(f".{path.name}.tmp")
     try:
         write(temporary)
+        _sync(temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    """Wait until the disk has the contents: a rename must not outlive a loss of power alone."""
+    place = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(place)
+    finally:
+        os.close(place)
 
 
 def _number(value: float) -> str:
@@ -118,12 +155,26 @@ def _trials_csv(trials: Trials, config: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _episodes_csv(trials: Trials, first_trial: int) -> str:
+def _episodes_csv(
+    trials: Trials, first_trial: int, extra: Mapping[str, NDArray[np.float32]]
+) -> str:
     columns = trials.episodes()
     columns["trial"] = columns["trial"] + first_trial
     rows = zip(*(columns[name].tolist() for name in EPISODE_COLUMNS), strict=True)
     lines = [f"{trial},{iteration},{score},{frames}" for trial, iteration, score, frames in rows]
-    return "\n".join([",".join(EPISODE_COLUMNS), *lines]) + "\n"
+    if extra:
+        # The quantities of an iteration stand beside each of its episodes.
+        repeats = len(lines) // len(next(iter(extra.values())))
+        texts = zip(*([str(x) for x in np.repeat(c, repeats)] for c in extra.values()), strict=True)
+        lines = [",".join([line, *more]) for line, more in zip(lines, texts, strict=True)]
+    return "\n".join([",".join([*EPISODE_COLUMNS, *extra]), *lines]) + "\n"
+
+
+def _evaluations_csv(columns: Mapping[str, NDArray[Any]], first_trial: int) -> str:
+    trial = (columns["trial"] + first_trial).tolist()
+    rows = zip(trial, columns["iteration"].tolist(), columns["score"].tolist(), strict=True)
+    lines = [f"{trial},{iteration},{score}" for trial, iteration, score in rows]
+    return "\n".join([",".join(EVALUATION_COLUMNS), *lines]) + "\n"
 
 
 def _write_scalars(job: Path, trials: Trials) -> None:
@@ -135,6 +186,8 @@ def _write_scalars(job: Path, trials: Trials) -> None:
     for name, curve in trials.curves().items():
         for step, value in enumerate(curve.tolist(), start=1):
             logger.log_scalar(name, value, step=step)
+    for file in (parent / "curves" / "scalars").iterdir():
+        _sync(file)
     (parent / "curves" / "scalars").replace(job / SCALARS)
     shutil.rmtree(parent)
 

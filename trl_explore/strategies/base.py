@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
-from torchrl.data import Categorical, Composite, OneHot, TensorSpec
-from torchrl.envs.utils import ExplorationType, exploration_type
+from torchrl.data import Categorical, OneHot, TensorSpec
+
+from trl_explore.strategies.common import BaseStrategy, exploring
 
 
-class Strategy(TensorDictModuleBase):
+class Strategy(BaseStrategy):
     """A behaviour distribution μ(·|s) over n actions, made from the logits of a target policy.
 
     A subclass states ``probs(logits)``; everything else is here. The action is drawn by inverse
@@ -39,6 +36,7 @@ class Strategy(TensorDictModuleBase):
     Attributes:
         exact: whether "action_log_prob" is the exact log-probability of the action under μ; a
             strategy for which that does not exist writes none.
+        differentiable: whether ``probs`` is differentiable in the logits, in every iteration.
         noise_size: how many uniform numbers it uses for each frame; where more than one, "noise"
             is [*batch, noise_size].
 
@@ -54,8 +52,7 @@ class Strategy(TensorDictModuleBase):
         ValueError: if the spec is not of a kind served, or a mask forbids every action.
     """
 
-    exact = True
-    noise_size = 1
+    actions = "discrete"
 
     def __init__(
         self,
@@ -66,21 +63,14 @@ class Strategy(TensorDictModuleBase):
         action_mask_key: NestedKey = "action_mask",
         seed: int = 0,
     ) -> None:
-        super().__init__()
-        if isinstance(spec, Composite):
-            spec = spec[action_key]
+        super().__init__([logits_key], action_key=action_key, seed=seed)
+        spec = None if spec is None else self._leaf(spec)
         if spec is not None and type(spec) not in (Categorical, OneHot):
             raise ValueError(
                 f"a strategy serves Categorical and OneHot action specs, got {type(spec).__name__}"
             )
         self.spec = spec
-        self.logits_key, self.action_key = logits_key, action_key
-        self.action_mask_key = action_mask_key
-        self.in_keys = [logits_key]  # pyright: ignore[reportAttributeAccessIssue]
-        written = [action_key, "action_log_prob"] if self.exact else [action_key]
-        self.out_keys = written  # pyright: ignore[reportAttributeAccessIssue]
-        self.iteration = 0
-        self._generator = torch.Generator().manual_seed(seed)
+        self.logits_key, self.action_mask_key = logits_key, action_mask_key
 
     @abstractmethod
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
@@ -92,36 +82,11 @@ class Strategy(TensorDictModuleBase):
         """
         raise NotImplementedError(f"{type(self).__name__} does not state its probs")
 
-    def bind(
-        self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
-    ) -> None:
-        """Learn whom the strategy serves: called once, by the collector.
+    def exploiting(self) -> Strategy:
+        """The strategy that takes the first action of largest logit."""
+        from trl_explore.strategies.argmax import Argmax
 
-        Args:
-            policy: the target policy.
-            trials: the number of trials, rows of the policy's parameters.
-            seed: seed of the job.
-            first_trial: trial index of row 0.
-
-        Raises:
-            ValueError: if a parameter has one value per trial, but not for all.
-        """
-
-    def begin(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
-        """Prepare for the next episode of the active trials.
-
-        Args:
-            active: [trials] bool.
-            episodes: [trials], the number of every trial's next episode, from 0.
-        """
-
-    def step(self, data: TensorDictBase | None = None) -> None:
-        """Advance by one iteration: once per update, whatever the batch.
-
-        Args:
-            data: the frames of the iteration, for a strategy that learns from them.
-        """
-        self.iteration += 1
+        return Argmax()
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw "action" from μ and write "action_log_prob"."""
@@ -131,7 +96,7 @@ class Strategy(TensorDictModuleBase):
             if not mask.any(-1).all():
                 raise ValueError("the action mask forbids every action of a state")
             logits = logits.masked_fill(~mask, -torch.inf)
-        if exploration_type() in (ExplorationType.RANDOM, None):
+        if exploring():
             action, log_prob = self.explore(tensordict, logits, self._noise(tensordict, logits))
         else:
             action = logits.argmax(-1)
@@ -140,6 +105,15 @@ class Strategy(TensorDictModuleBase):
         if self.exact:
             tensordict.set("action_log_prob", log_prob)
         return tensordict
+
+    def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
+        """What ``probs`` is given to act on: here the logits of the target policy themselves.
+
+        Args:
+            tensordict: everything known of the frames.
+            logits: [*batch, n_actions], masked: −∞ where an action is forbidden, and stays so.
+        """
+        return logits
 
     def explore(
         self, tensordict: TensorDictBase, logits: Tensor, noise: Tensor
@@ -154,18 +128,10 @@ class Strategy(TensorDictModuleBase):
         Returns:
             The action [*batch] and its log-probability [*batch]; None if it has no exact one.
         """
+        logits = self.preferences(tensordict, logits)
         probs = self.probs(logits, tensordict.get("trial", None))
         action = inverse_cdf(probs, noise)
         return action, probs.gather(-1, action.unsqueeze(-1)).squeeze(-1).log()
-
-    def _noise(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
-        shape = logits.shape[:-1]
-        if self.noise_size > 1:
-            shape = (*shape, self.noise_size)
-        noise = tensordict.get("noise", None)
-        if noise is None:
-            noise = torch.rand(shape, generator=self._generator, dtype=torch.float64)
-        return noise.to(logits.device).reshape(shape)
 
     def _encode(self, action: Tensor, n_actions: int) -> Tensor:
         if self.spec is None:
@@ -173,15 +139,6 @@ class Strategy(TensorDictModuleBase):
         if isinstance(self.spec, OneHot):
             action = torch.nn.functional.one_hot(action, n_actions)
         return action.to(self.spec.dtype)
-
-    def get_extra_state(self) -> dict[str, Any]:
-        """What ``state_dict`` holds: the iteration and the state of the module's own generator."""
-        return {"iteration": self.iteration, "generator": self._generator.get_state()}
-
-    def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore what ``get_extra_state`` gave."""
-        self.iteration = int(state["iteration"])
-        self._generator.set_state(state["generator"])
 
 
 def inverse_cdf(probs: Tensor, noise: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from functools import reduce
 from operator import add
 from typing import NamedTuple
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from trl_explore.schedules import Value
 from trl_explore.strategies.base import Strategy
+from trl_explore.strategies.common import check_trials, rows
 
 
 class Mixture(NamedTuple):
@@ -47,15 +49,21 @@ class MixtureStrategy(Strategy):
     ) -> None:
         """Learn whom the strategy serves."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        for value in self.mixture():
-            if isinstance(value, np.ndarray) and value.shape != (trials,):
-                raise ValueError(
-                    f"a parameter has {value.size} values, but there are {trials} trials"
-                )
+        check_trials(trials, *self.mixture())
+
+    def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
+        """The parameters with which the policy's logits are the strategy's ``preferences``.
+
+        A strategy with other preferences can be compiled only if it states such parameters here.
+
+        Args:
+            parameters: parameters of the target policy that ``bind`` was given.
+        """
+        return list(parameters)
 
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
         """μ(·|s) [*batch, n_actions] in the current iteration."""
-        mixture = Mixture(*(_rows(value, trial, logits) for value in self.mixture()))
+        mixture = Mixture(*(rows(value, trial, logits) for value in self.mixture()))
         return mixture_probs(logits, mixture)
 
 
@@ -93,12 +101,3 @@ def _weigh(corner: Tensor, weight: Value | Tensor) -> Tensor:
 
 def _any(weight: Value | Tensor) -> bool:
     return weight != 0 if isinstance(weight, int | float) else bool((weight != 0).any())
-
-
-def _rows(value: Value | Tensor, trial: Tensor | None, logits: Tensor) -> float | Tensor:
-    """One number, or the trials' own numbers as a column [*batch, 1]."""
-    if not isinstance(value, np.ndarray):
-        return value
-    if trial is None:
-        raise ValueError("the parameters differ between trials: the data need a 'trial' entry")
-    return torch.as_tensor(value, dtype=logits.dtype, device=logits.device)[trial].unsqueeze(-1)

@@ -16,6 +16,8 @@ class Random(MixtureStrategy):
         tensor([0.5000, 0.5000])
     """
 
+    differentiable = True
+
     def mixture(self) -> Mixture:
         """The uniform corner."""
         return Mixture(uniform=1.0)

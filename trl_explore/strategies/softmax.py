@@ -30,6 +30,8 @@ class Softmax(MixtureStrategy):
         tensor(1.)
     """
 
+    differentiable = True
+
     def __init__(
         self, temperature: float | Sequence[float] | Schedule = 1.0, **options: Any
     ) -> None:

@@ -1,0 +1,431 @@
+"""What holds for every strategy over continuous actions, over its files in conf/strategy."""
+
+import copy
+import inspect
+import io
+
+import numpy as np
+import pytest
+import torch
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+from scipy import stats
+from tensordict import TensorDict
+from tensordict.nn import (
+    NormalParamExtractor,
+    TensorDictModule,
+    TensorDictModuleBase,
+    TensorDictSequential,
+)
+from torchrl.collectors import Collector
+from torchrl.data import Bounded, Categorical, Composite, MultiCategorical, OneHot, Unbounded
+from torchrl.envs.libs.gym import GymEnv
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from trl_explore.config import CONF
+from trl_explore.config.kinds import options
+from trl_explore.schedules import Exponential
+from trl_explore.strategies import (
+    ContinuousStrategy,
+    EpsilonMean,
+    EpsilonUniform,
+    Gaussian,
+    MeanAction,
+    Softmax,
+    UniformAction,
+)
+
+FILES = {
+    name: OmegaConf.load(CONF / "strategy" / f"{name}.yaml")
+    for name in options("strategy", "continuous")
+}
+MODES = [ExplorationType.MODE, ExplorationType.MEAN, ExplorationType.DETERMINISTIC]
+LOW, HIGH = torch.tensor([-1.0, 0.5]), torch.tensor([3.0, 0.75])
+BOX = Bounded(LOW, HIGH)
+LOC, SCALE = torch.tensor([0.3, 0.9]), torch.tensor([0.5, 2.0])
+BOXED = ["epsilon_mean", "epsilon_uniform", "uniform_action"]
+
+everyone = pytest.mark.parametrize("name", FILES)
+
+
+def build(name, *, spec=BOX, iteration=0, **options) -> ContinuousStrategy:
+    strategy = instantiate(FILES[name], _partial_=True, _convert_="all")(spec=spec, **options)
+    for _ in range(iteration):
+        strategy.step()
+    return strategy
+
+
+def frames(n, **entries):
+    return TensorDict({"loc": LOC.expand(n, 2), "scale": SCALE.expand(n, 2), **entries}, [n])
+
+
+def noise_of(n, dims=2, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(n, dims + 1, generator=generator, dtype=torch.float64)
+
+
+def density(name, action):
+    """log mu(a) of the files' strategies at LOC and SCALE, by scipy; [n]."""
+    action = np.asarray(action, dtype=np.float64)
+    normal = stats.norm.pdf(action, LOC.double(), SCALE.double()).prod(-1)
+    uniform = stats.uniform.pdf(action, LOW.double(), (HIGH - LOW).double()).prod(-1)
+    mixed = {
+        "gaussian": normal,
+        "uniform_action": uniform,
+        "epsilon_uniform": 0.7 * normal + 0.3 * uniform,
+    }
+    return np.log(mixed[name])
+
+
+# The distribution
+
+
+def test_the_files_are_known():
+    assert {"epsilon_mean", "epsilon_uniform", "gaussian", "mean_action", "uniform_action"} <= set(
+        FILES
+    )
+
+
+@pytest.mark.parametrize("name", ["gaussian", "uniform_action", "epsilon_uniform"])
+def test_log_prob_is_the_density_of_scipy(name):
+    data = build(name)(frames(2000))
+    assert data["action_log_prob"].shape == (2000,)
+    expected = density(name, data["action"])
+    np.testing.assert_allclose(data["action_log_prob"], expected, rtol=1e-5, atol=1e-5)
+
+
+def test_density_outside_of_the_box():
+    outside = torch.tensor([[5.0, 0.6], [0.0, 0.4], [-1.0, 0.5]])  # the last is a corner: inside
+    loc, scale = LOC.expand(3, 2), SCALE.expand(3, 2)
+    mixed = build("epsilon_uniform").log_prob(outside, loc, scale)
+    np.testing.assert_allclose(mixed, density("epsilon_uniform", outside), rtol=1e-5)
+    uniform = build("uniform_action").log_prob(outside, loc, scale)
+    assert uniform.tolist()[:2] == [-np.inf, -np.inf]
+    assert uniform[2].item() == pytest.approx(-np.log(4 * 0.25), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["gaussian", "uniform_action", "epsilon_uniform"])
+def test_the_density_integrates_to_one(name):
+    x = torch.linspace(-6, 8, 2801, dtype=torch.float64) + 1e-4
+    one = Bounded(-1.0, 3.0, shape=(1,))
+    loc, scale = torch.full((2801, 1), 0.3).double(), torch.full((2801, 1), 0.7).double()
+    log_prob = build(name, spec=one).log_prob(x.unsqueeze(-1), loc, scale)
+    assert float(log_prob.exp().sum() * 14 / 2800) == pytest.approx(1, abs=1e-3)
+
+
+@pytest.mark.parametrize("temperature", [0.5, 1.0, 3.0])
+def test_temperature_multiplies_the_scale(temperature):
+    data = Gaussian(temperature)(frames(4000))
+    for j in range(2):
+        normal = stats.norm(LOC[j].item(), temperature * SCALE[j].item())
+        assert stats.kstest(data["action"][:, j].numpy(), normal.cdf).pvalue > 1e-3
+    wide = temperature * SCALE.double()
+    expected = stats.norm.logpdf(data["action"].double(), LOC.double(), wide).sum(-1)
+    np.testing.assert_allclose(data["action_log_prob"], expected, rtol=1e-4, atol=1e-5)
+
+
+def test_temperature_of_a_schedule_that_falls_to_zero():
+    strategy = Gaussian(Exponential(1.0, 0.1), spec=BOX)
+    for _ in range(400):
+        strategy.step()
+    data = strategy(frames(50))
+    torch.testing.assert_close(data["action"], LOC.expand(50, 2), atol=1e-4, rtol=0)
+    assert data["action_log_prob"].isfinite().all()
+
+
+def test_uniform_fills_the_box():
+    action = UniformAction(spec=BOX)(frames(5000))["action"]
+    for j in range(2):
+        uniform = stats.uniform(LOW[j].item(), (HIGH - LOW)[j].item())
+        assert stats.kstest(action[:, j].numpy(), uniform.cdf).pvalue > 1e-3
+    assert abs(stats.pearsonr(*action.numpy().T).statistic) < 0.05
+
+
+def test_epsilon_is_the_share_of_uniform_frames():
+    # 0.0 is the mean; a uniform draw hits it with probability 0.
+    mean = EpsilonMean(0.3, spec=BOX)(frames(10_000))["action"]
+    explored = int((mean != LOC).all(-1).sum())
+    assert int((mean == LOC).all(-1).sum()) == 10_000 - explored
+    assert stats.binomtest(explored, 10_000, 0.3).pvalue > 1e-3
+    drawn = mean[(mean != LOC).all(-1), 0].numpy()
+    assert stats.kstest(drawn, stats.uniform(-1, 4).cdf).pvalue > 1e-3
+
+
+def test_epsilon_uniform_is_distributed_as_its_mixture():
+    action = EpsilonUniform(0.3, spec=BOX)(frames(5000))["action"]
+    for j in range(2):
+        normal = stats.norm(LOC[j].item(), SCALE[j].item())
+        uniform = stats.uniform(LOW[j].item(), (HIGH - LOW)[j].item())
+
+        def cdf(x, normal=normal, uniform=uniform):
+            return 0.7 * normal.cdf(x) + 0.3 * uniform.cdf(x)
+
+        assert stats.kstest(action[:, j].numpy(), cdf).pvalue > 1e-3
+
+
+def test_mean_action_is_the_mean():
+    data = MeanAction()(frames(5))
+    assert torch.equal(data["action"], LOC.expand(5, 2))
+
+
+@pytest.mark.parametrize("cls", [MeanAction, EpsilonMean])
+def test_without_a_density_none_is_written(cls):
+    strategy = cls(spec=BOX)
+    assert not strategy.exact
+    assert strategy.out_keys == ["action"]
+    assert "action_log_prob" not in strategy(frames(5))
+    with pytest.raises(ValueError, match=f"the actions of {cls.__name__} have no density"):
+        strategy.log_prob(LOC, LOC, SCALE)
+
+
+@pytest.mark.parametrize("name", ["gaussian", "uniform_action", "epsilon_uniform"])
+def test_log_prob_is_differentiable_as_it_says(name):
+    strategy = build(name)
+    action = strategy(frames(8))["action"].double()
+    loc, scale = (x.double().expand(8, 2).clone().requires_grad_() for x in (LOC, SCALE))
+    if name == "uniform_action":  # a constant
+        assert strategy.differentiable
+        return
+    assert torch.autograd.gradcheck(lambda *x: strategy.log_prob(action, *x), (loc, scale))
+    assert strategy.differentiable
+
+
+# The draw
+
+
+def test_draws_by_hand():
+    # Phi^-1(0.5) = 0 and Phi^-1(0.8413447...) = 1; the last number chooses: below 0.3 uniform.
+    u = float(stats.norm.cdf(1.0))
+    noise = torch.tensor([[0.5, u, 0.3], [0.5, u, 0.2999]], dtype=torch.float64)
+    action = EpsilonUniform(0.3, spec=BOX)(frames(2, noise=noise))["action"]
+    torch.testing.assert_close(action[0], torch.tensor([0.3, 2.9]))
+    torch.testing.assert_close(action[1], torch.tensor([1.0, 0.5 + 0.25 * u], dtype=torch.float32))
+    mean = EpsilonMean(0.3, spec=BOX)(frames(2, noise=noise))["action"]
+    assert torch.equal(mean[0], LOC)
+    assert torch.equal(mean[1], action[1])
+
+
+def test_strategies_see_the_same_random_numbers():
+    noise = noise_of(400)
+    both = build("epsilon_uniform")(frames(400, noise=noise))["action"]
+    uniform = build("uniform_action")(frames(400, noise=noise))["action"]
+    gaussian = build("gaussian")(frames(400, noise=noise))["action"]
+    explored = noise[:, 2] < 0.3
+    assert torch.equal(both, torch.where(explored.unsqueeze(-1), uniform, gaussian))
+
+
+@everyone
+def test_the_edges_of_the_noise(name):
+    for edge in (0.0, 1.0, float(np.nextafter(1, 0)), 1e-300):
+        data = build(name)(frames(3, noise=torch.full((3, 3), edge, dtype=torch.float64)))
+        assert data["action"].isfinite().all()
+        if build(name).exact:
+            assert data["action_log_prob"].isfinite().all()
+
+
+@everyone
+def test_noise_decides_the_draw(name):
+    noise = noise_of(300)
+    strategies = [build(name, seed=seed) for seed in (0, 1)]
+    a, b = (strategy(frames(300, noise=noise))["action"] for strategy in strategies)
+    assert torch.equal(a, b)
+
+
+@everyone
+def test_frames_do_not_depend_on_each_other(name):
+    strategy = build(name)
+    generator = torch.Generator().manual_seed(1)
+    loc, noise = torch.randn(41, 2, generator=generator), noise_of(41)
+    data = TensorDict({"loc": loc, "scale": loc.exp(), "noise": noise}, [41])
+    together = strategy(data.clone())
+    for k in range(41):
+        alone = strategy(data[k : k + 1].clone())
+        for key in strategy.out_keys:
+            assert torch.equal(alone[key][0], together[key][k])
+
+
+@everyone
+@pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3), (0,)])
+@pytest.mark.parametrize("given", [True, False])
+def test_batch_shapes(name, batch, given):
+    entries = {"noise": torch.full((*batch, 3), 0.5)} if given else {}
+    data = TensorDict(
+        {"loc": LOC.expand(*batch, 2), "scale": SCALE.expand(*batch, 2), **entries}, batch
+    )
+    strategy = build(name)
+    assert strategy.noise_size == 3
+    strategy(data)
+    assert data["action"].shape == (*batch, 2)
+    assert data["action"].dtype == torch.float32
+    if strategy.exact:
+        assert data["action_log_prob"].shape == batch
+        assert data["action_log_prob"].dtype == torch.float32
+
+
+@everyone
+@pytest.mark.parametrize("mode", MODES, ids=str)
+def test_exploration_off_takes_the_mean(name, mode):
+    strategy, other = build(name), build(name)
+    with set_exploration_type(mode):
+        data = strategy(frames(4))
+    assert torch.equal(data["action"], LOC.expand(4, 2))
+    if strategy.exact:
+        assert data["action_log_prob"].tolist() == [0.0] * 4
+    # and draws no numbers
+    assert torch.equal(strategy(frames(100))["action"], other(frames(100))["action"])
+
+
+@everyone
+def test_the_generator_is_the_modules_own(name):
+    with torch.random.fork_rng():
+        before = torch.get_rng_state()
+        first = build(name, seed=4)(frames(200))["action"]
+        assert torch.equal(torch.get_rng_state(), before)
+        torch.manual_seed(1)
+        assert torch.equal(build(name, seed=4)(frames(200))["action"], first)
+
+
+# Action specs
+
+
+@everyone
+def test_specs_give_box_and_size(name):
+    lanes = Bounded(LOW.expand(5, 2), HIGH.expand(5, 2))
+    for spec in (BOX, lanes, Composite(action=BOX), Composite(action=lanes, shape=(5,))):
+        strategy = build(name, spec=spec)
+        assert strategy.noise_size == 3
+        assert strategy.box is not None
+        assert torch.equal(torch.stack(strategy.box), torch.stack([LOW, HIGH]).double())
+        late = build(name, spec=None)
+        late.serve(spec)
+        noise = noise_of(20)
+        a, b = (s(frames(20, noise=noise))["action"] for s in (strategy, late))
+        assert torch.equal(a, b)
+
+
+@everyone
+def test_without_a_box(name):
+    if name in BOXED:
+        with pytest.raises(ValueError, match="draws from the box of the actions: give it"):
+            build(name, spec=None)(frames(3))
+        with pytest.raises(ValueError, match="which must be finite, got"):
+            build(name, spec=Unbounded(2))
+        half = Bounded(torch.tensor([0.0, 0.0]), torch.tensor([1.0, torch.inf]))
+        with pytest.raises(ValueError, match="which must be finite, got"):
+            build(name, spec=half)
+    else:
+        for spec in (None, Unbounded(2)):
+            assert build(name, spec=spec)(frames(3))["action"].shape == (3, 2)
+
+
+@everyone
+@pytest.mark.parametrize(
+    "spec",
+    [Categorical(4), OneHot(4), MultiCategorical([2, 2]), Composite(action=OneHot(4))],
+    ids=lambda spec: type(spec).__name__,
+)
+def test_discrete_specs_are_refused(name, spec):
+    cls = type(build(name)).__name__
+    with pytest.raises(ValueError, match=f"{cls} draws continuous actions, but those of the"):
+        build(name, spec=spec)
+
+
+def test_a_discrete_strategy_refuses_a_box():
+    with pytest.raises(ValueError, match="Softmax draws discrete actions, but those of the env"):
+        Softmax().serve(BOX)
+
+
+def test_a_policy_of_other_dimensions_is_refused():
+    with pytest.raises(ValueError, match="loc has 2 dimensions, but the actions have 3"):
+        Gaussian(spec=Unbounded(3))(frames(2))
+
+
+def test_keys_can_be_renamed():
+    strategy = Gaussian(loc_key=("pi", "mean"), scale_key=("pi", "std"), action_key="move")
+    assert strategy.in_keys == [("pi", "mean"), ("pi", "std")]
+    data = strategy(TensorDict({"pi": {"mean": LOC, "std": SCALE}}))
+    assert data["move"].shape == (2,)
+
+
+# State and parameters
+
+
+@everyone
+def test_state_dict_round_trip(name):
+    first = build(name, iteration=7, seed=1)
+    first(frames(20))
+    file = io.BytesIO()
+    torch.save(first.state_dict(), file)
+    file.seek(0)
+    second = build(name, seed=2)
+    second.load_state_dict(torch.load(file, weights_only=True))
+    assert second.iteration == 7
+    assert torch.equal(first(frames(20))["action"], second(frames(20))["action"])
+
+
+@everyone
+def test_copies_are_independent(name):
+    original = build(name, seed=5)
+    twin = copy.deepcopy(original)
+    original.step()
+    assert (original.iteration, twin.iteration) == (1, 0)
+    assert torch.equal(original(frames(20))["action"], twin(frames(20))["action"])
+
+
+@everyone
+def test_every_argument_of_its_own_stands_in_the_file(name):
+    own = inspect.signature(type(build(name))).parameters.values()
+    named = {p.name for p in own if p.kind is not inspect.Parameter.VAR_KEYWORD}
+    shared = set(inspect.signature(ContinuousStrategy).parameters)
+    assert set(FILES[name]) - {"_target_"} == named - shared
+
+
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [("gaussian", "temperature"), ("epsilon_uniform", "epsilon"), ("epsilon_mean", "epsilon")],
+)
+def test_parameters_per_trial(name, key):
+    values = [0.9, 0.3, 1.0]
+    strategy = build(name, **{key: values})
+    strategy.bind(TensorDictModuleBase(), 3)
+    trial, noise = torch.arange(30) % 3, noise_of(30)
+    data = strategy(frames(30, trial=trial, noise=noise))
+    for k, own in enumerate(values):
+        mine = trial == k
+        alone = build(name, **{key: own})(frames(10, noise=noise[mine]))
+        for entry in strategy.out_keys:
+            assert torch.equal(data[entry][mine], alone[entry])
+    with pytest.raises(ValueError, match="a parameter has 3 values, but there are 4 trials"):
+        strategy.bind(TensorDictModuleBase(), 4)
+    with pytest.raises(ValueError, match="the data need a 'trial' entry"):
+        strategy(frames(30))
+
+
+@pytest.mark.parametrize("bad", [float("nan"), -1.0])
+@everyone
+def test_numbers_that_make_no_sense_are_refused(name, bad):
+    for key in set(FILES[name]) - {"_target_"}:
+        with pytest.raises(ValueError, match=f"{key} must be"):
+            build(name, **{key: bad})
+
+
+# In a project that knows nothing of this one
+
+
+@everyone
+def test_behind_a_network_in_torchrls_collector(name):
+    env = GymEnv("Pendulum-v1")
+    env.set_seed(0)
+    network = torch.nn.Sequential(torch.nn.Linear(3, 2), NormalParamExtractor())
+    policy = TensorDictModule(network, ["observation"], ["loc", "scale"])
+    strategy = build(name, spec=env.action_spec)
+    collector = Collector(
+        env, TensorDictSequential(policy, strategy), frames_per_batch=60, total_frames=60,
+        auto_register_policy_transforms=True,
+    )  # fmt: skip
+    (data,) = (batch.clone() for batch in collector)
+    collector.shutdown()
+    assert data["action"].shape == (60, 1)
+    if strategy.exact:
+        own = strategy.log_prob(data["action"], data["loc"], data["scale"])
+        torch.testing.assert_close(data["action_log_prob"], own, rtol=1e-4, atol=1e-5)

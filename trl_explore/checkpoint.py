@@ -1,0 +1,296 @@
+"""Checkpoints of a job: what is in the files, and how they survive a cut at any instant.
+
+In the folder ``checkpoint/`` of a job that is not finished:
+
+    a.safetensors, b.safetensors   the last two checkpoints, written in turns
+    history.bin                    the episodes up to the last checkpoint, append-only
+
+A checkpoint is one safetensors file: the tensors of a nested state, and in its metadata the rest
+of the state as JSON, a header, and a SHA-256 of all of it. It is written beside its place, synced
+and renamed. The history only grows: a checkpoint states how many of its bytes are valid and their
+digest, so that its own cost does not grow with the run, and what a cut left behind that length is
+dropped. No file is read with pickle.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trl_explore.checks import first_line
+
+FOLDER, SLOTS, HISTORY = "checkpoint", ("a.safetensors", "b.safetensors"), "history.bin"
+DIGEST = hashlib.sha256().digest_size
+
+Arrays = dict[str, NDArray[Any]]
+
+
+class DamagedError(ValueError):
+    """A file that is not what was written; the message says how that shows."""
+
+
+class Packed(NamedTuple):
+    """A state as arrays and JSON: a copy, which later changes of the state do not reach."""
+
+    tree: str
+    arrays: Arrays
+
+
+def pack(state: Any) -> Packed:
+    """A nested state as arrays and one JSON text.
+
+    Served are dicts, lists and tuples of None, bool, int, float, str, numpy arrays and torch
+    tensors. A tensor that occurs twice, as the weights in policy and loss, is stored once.
+
+    Raises:
+        TypeError: naming the entry that is of another kind.
+
+    Example:
+        >>> packed = pack({"lr": 0.1, "steps": (1, 2), "weight": np.ones(3)})
+        >>> unpack(packed)
+        {'lr': 0.1, 'steps': (1, 2), 'weight': array([1., 1., 1.])}
+    """
+    arrays: Arrays = {}
+    seen: dict[Any, str] = {}
+
+    def walk(node: Any, path: str) -> Any:
+        if node is None or isinstance(node, bool | int | float | str):
+            return node
+        if isinstance(node, Mapping):
+            pairs = [[key, walk(value, f"{path}.{key}")] for key, value in node.items()]
+            if not all(isinstance(key, str | int) for key, _ in pairs):
+                raise TypeError(f"the state of {path[1:]} has a key that is no text or integer")
+            return {"dict": pairs}
+        if isinstance(node, list | tuple):
+            values = [walk(value, f"{path}.{k}") for k, value in enumerate(node)]
+            return values if isinstance(node, list) else {"tuple": values}
+        kind, array, identity = _array(node, path)
+        name = seen.setdefault(identity, path[1:]) if identity else path[1:]
+        if name not in arrays:
+            arrays[name] = array.copy(order="C")
+        return {kind: name}
+
+    return Packed(json.dumps(walk(state, "")), arrays)
+
+
+def _array(node: Any, path: str) -> tuple[str, NDArray[Any], Any]:
+    """The kind of an array, its values, and what makes it the same memory as another one."""
+    if isinstance(node, np.generic):
+        return "number", np.asarray(node), None
+    if isinstance(node, np.ndarray):
+        return "array", node, None
+    import torch
+
+    if isinstance(node, torch.Tensor):
+        tensor = node.detach().cpu()
+        identity = (tensor.data_ptr(), tensor.shape, tensor.stride(), tensor.dtype)
+        return "tensor", tensor.numpy(), identity
+    raise TypeError(
+        f"the state of {path[1:]} is a {type(node).__name__}; a checkpoint holds None, bool, "
+        "int, float, str, arrays and tensors, in dicts, lists and tuples"
+    )
+
+
+def unpack(packed: Packed) -> Any:
+    """The state that ``pack`` was given."""
+    tensors: dict[str, Any] = {}
+
+    def tensor(name: str) -> Any:
+        import torch
+
+        if name not in tensors:
+            tensors[name] = torch.from_numpy(packed.arrays[name].copy())
+        return tensors[name]
+
+    def walk(node: Any) -> Any:
+        if isinstance(node, list):
+            return [walk(value) for value in node]
+        if not isinstance(node, dict):
+            return node
+        ((kind, value),) = node.items()
+        if kind == "dict":
+            return {key: walk(child) for key, child in value}
+        if kind == "tuple":
+            return tuple(walk(child) for child in value)
+        if kind == "number":
+            return packed.arrays[value][()]
+        return packed.arrays[value] if kind == "array" else tensor(value)
+
+    return walk(json.loads(packed.tree))
+
+
+def _digest(texts: Mapping[str, str], arrays: Arrays) -> str:
+    found = hashlib.sha256(json.dumps(texts, sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = arrays[name]
+        found.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        found.update(array.reshape(-1).view(np.uint8).data)
+    return found.hexdigest()
+
+
+def to_bytes(header: Mapping[str, Any], packed: Packed) -> bytes:
+    """The contents of a checkpoint's file."""
+    from safetensors.numpy import save
+
+    texts = {"header": json.dumps(header), "state": packed.tree}
+    return save(packed.arrays, {**texts, "sha256": _digest(texts, packed.arrays)})
+
+
+def from_bytes(data: bytes) -> tuple[dict[str, Any], Packed]:
+    """Header and state of a checkpoint's file.
+
+    Raises:
+        DamagedError: if the contents are not what ``to_bytes`` gave.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        arrays = load(data)
+        size = int.from_bytes(data[:8], "little")
+        metadata = json.loads(data[8 : 8 + size])["__metadata__"]
+        expected = metadata.pop("sha256")
+        if _digest(metadata, arrays) != expected:
+            raise DamagedError("its checksum is wrong")
+        return json.loads(metadata["header"]), Packed(metadata["state"], arrays)
+    except (SafetensorError, ValueError, KeyError, TypeError) as error:
+        if isinstance(error, DamagedError):
+            raise
+        raise DamagedError(f"not readable: {first_line(error)}") from None
+
+
+class Checkpoint(NamedTuple):
+    """What was found: the header, the state, and the episodes up to there, in parts."""
+
+    header: dict[str, Any]
+    state: Packed
+    history: list[Arrays]
+
+
+class Store:
+    """The checkpoint files of one job.
+
+    Args:
+        job: the folder of the job.
+    """
+
+    def __init__(self, job: Path) -> None:
+        self.folder = job / FOLDER
+        self._number = 0
+        self._length, self._seal = 0, bytes(DIGEST)
+
+    def load(self) -> tuple[Checkpoint | None, list[str]]:
+        """The newest checkpoint that is whole, and a line for each one that is not."""
+        found: list[tuple[dict[str, Any], Packed]] = []
+        damaged: list[str] = []
+        for name in SLOTS:
+            path = self.folder / name
+            try:
+                found.append(from_bytes(path.read_bytes()))
+            except FileNotFoundError:
+                continue
+            except DamagedError as error:
+                damaged.append(f"{path}: {error}")
+        for header, state in sorted(found, key=lambda pair: -pair[0]["store"]["number"]):
+            own = header["store"]
+            try:
+                history = self._read(own["length"], bytes.fromhex(own["seal"]))
+            except (DamagedError, OSError) as error:
+                damaged.append(f"{self.folder / HISTORY}: {error}")
+                continue
+            self._number, self._length = own["number"], own["length"]
+            self._seal = bytes.fromhex(own["seal"])
+            return Checkpoint(header, state, history), damaged
+        return None, damaged
+
+    def save(self, header: Mapping[str, Any], state: Packed, history: Arrays) -> None:
+        """Write a checkpoint; if that fails, the ones before it are as good as they were.
+
+        Args:
+            header: what is to be known before the state is loaded, as JSON.
+            state: everything that goes on from here.
+            history: the episodes since the checkpoint before.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        self.folder.mkdir(exist_ok=True)
+        length, seal = self._append(history)
+        number = self._number + 1
+        own = {"number": number, "length": length, "seal": seal.hex()}
+        data = to_bytes({**header, "store": own}, state)
+        write_whole(self.folder / SLOTS[number % 2], data)
+        self._number, self._length, self._seal = number, length, seal
+
+    def clear(self) -> None:
+        """Remove all checkpoints."""
+        for name in SLOTS:  # a state without its history is not a checkpoint, so these go first
+            (self.folder / name).unlink(missing_ok=True)
+        if self.folder.exists():
+            shutil.rmtree(self.folder)
+        self._number, self._length, self._seal = 0, 0, bytes(DIGEST)
+
+    def _append(self, history: Arrays) -> tuple[int, bytes]:
+        """Add a part to the history; returns how long it is then, and its digest."""
+        if not any(array.size for array in history.values()):
+            return self._length, self._seal
+        data = to_bytes({}, Packed("null", history))
+        seal = hashlib.sha256(self._seal + data).digest()
+        path = self.folder / HISTORY
+        with path.open("r+b" if self._length else "wb") as file:
+            file.truncate(self._length)  # what an earlier attempt may have left
+            file.seek(self._length)
+            file.write(len(data).to_bytes(8, "little"))
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        return self._length + 8 + len(data), seal
+
+    def _read(self, length: int, expected: bytes) -> list[Arrays]:
+        """The parts of the first ``length`` bytes of the history."""
+        parts: list[Arrays] = []
+        seal, place = bytes(DIGEST), 0
+        if length == 0:
+            return parts
+        with (self.folder / HISTORY).open("rb") as file:
+            while place < length:
+                size = int.from_bytes(file.read(8), "little")
+                place += 8 + size
+                if place > length:
+                    raise DamagedError("its length is wrong")
+                data = file.read(size)
+                seal = hashlib.sha256(seal + data).digest()
+                parts.append(from_bytes(data)[1].arrays)
+        if seal != expected:
+            raise DamagedError("its checksum is wrong")
+        return parts
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file that appears at once and whole, also after a loss of power.
+
+    After a loss of power it may be the one that was there before: its folder is not synced.
+
+    Raises:
+        OSError: if it cannot be written; a file that was there before is as it was.
+    """
+    temporary = path.with_name(f".{path.name}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise

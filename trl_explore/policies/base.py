@@ -1,0 +1,35 @@
+"""What a policy reads from the specs of its environment."""
+
+from __future__ import annotations
+
+from torchrl.data import Bounded, Categorical, Unbounded
+from torchrl.envs import EnvBase
+
+
+def n_actions(env: EnvBase) -> int:
+    """The number of actions of an environment with a Categorical action spec."""
+    spec = env.action_spec
+    if not isinstance(spec, Categorical):
+        raise ValueError(
+            f"a softmax policy needs a Categorical action spec, got {type(spec).__name__}"
+        )
+    return spec.n
+
+
+def n_dims(env: EnvBase) -> int:
+    """The number of dimensions of a continuous action.
+
+    Raises:
+        ValueError: if the actions are not vectors of real numbers.
+    """
+    spec = env.action_spec
+    if not isinstance(spec, Bounded | Unbounded) or spec.domain != "continuous":
+        raise ValueError(
+            f"a Gaussian policy needs a Bounded or Unbounded action spec, got {type(spec).__name__}"
+        )
+    return spec.shape[-1]
+
+
+def n_features(env: EnvBase) -> int:
+    """The length of an observation."""
+    return env.observation_spec["observation"].shape[-1]

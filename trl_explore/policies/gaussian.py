@@ -1,0 +1,186 @@
+"""Gaussian policies for continuous actions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.envs import EnvBase
+
+from trl_explore.checks import check_number
+from trl_explore.ops import lane_linear
+from trl_explore.policies.base import n_dims, n_features
+from trl_explore.policies.lanes import LaneLinear, LaneMLP
+
+LARGEST_LOG = 20.0
+"""Log-scales are kept within ±20: beyond, a single action or density is no longer finite."""
+
+
+class LaneGaussian(nn.Module):
+    """(observation, trial) -> (loc, scale): a network for each trial, and the scale beside it.
+
+    Args:
+        network: the mean, and the initial weights of its layers.
+        log_scale: [n_dims], the first logarithm of the scale.
+        state_dependent: whether the network gets n_dims outputs more, zero at first, that are added
+            to ``log_scale``, then a constant; otherwise ``log_scale`` [trials, n_dims] is learned.
+    """
+
+    def __init__(self, network: LaneMLP, log_scale: Tensor, *, state_dependent: bool) -> None:
+        super().__init__()
+        self.network = network
+        if not state_dependent:
+            trials = len(next(network.parameters()))
+            self.log_scale = nn.Parameter(log_scale.repeat(trials, 1))
+            return
+        self.log_scale = None
+        self.register_buffer("initial_log_scale", log_scale)
+        last = network.layers[-1]
+        assert isinstance(last, LaneLinear)
+        grown = [_doubled(p.detach()) for p in (last.weight, last.bias) if p is not None]
+        network.layers[-1] = LaneLinear(*grown)
+
+    def forward(self, observation: Tensor, trial: Tensor) -> tuple[Tensor, Tensor]:
+        """[*batch, n_features], [*batch] -> two tensors [*batch, n_dims]."""
+        out = self.network(observation, trial)
+        if self.log_scale is None:
+            loc, change = out.chunk(2, -1)
+            return loc, _scale(self.initial_log_scale + change)
+        one = observation.new_ones(*trial.shape, 1)
+        return out, lane_linear(one, _scale(self.log_scale).unsqueeze(-1), trial)
+
+
+def _doubled(weights: Tensor) -> Tensor:
+    """[trials, n_out, ...] with as many zeros behind."""
+    return torch.cat([weights, torch.zeros_like(weights)], 1)
+
+
+def _scale(log_scale: Tensor) -> Tensor:
+    return log_scale.clamp(-LARGEST_LOG, LARGEST_LOG).exp()
+
+
+class GaussianMLPPolicy(TensorDictModule):
+    """π(·|s) = N(MLP(s), diag(scale²)), one multilayer perceptron (``LaneMLP``) for each trial.
+
+    log scale is a parameter of the trial, the same in every state, or, where that is asked for,
+    log initial_scale + h(s) with h further outputs of the network, zero at first (Williams 1992,
+    §6; Sutton & Barto 2018, §13.7). It is kept within ±20. Actions are not squashed: the
+    environment clips those outside of its box.
+
+    Reads "observation" [*batch, n_features] and "trial" [*batch] (the row of the parameters);
+    writes "loc" and "scale" [*batch, n_dims], in the units of the actions.
+
+    Args:
+        env: the environment, whose specs give the sizes and whose batch size the trials.
+        hidden: the units of every hidden layer; an empty list makes the mean linear.
+        activation: "tanh" or "relu".
+        bias: whether the layers have biases, which begin at 0.
+        init: how weights begin, a name of ``initial_weights``.
+        output_gain: factor of the last layer's initial weights; with a small one the mean begins
+            near 0.
+        initial_scale: the first standard deviation > 0, one number or one per dimension.
+        state_dependent_scale: whether the scale depends on the observation.
+        seed: seed of the job.
+        first_trial: trial index of row 0.
+
+    Raises:
+        ValueError: if the actions are not continuous, or an argument is out of range.
+
+    Example:
+        >>> from trl_explore.envs import make_env
+        >>> policy = GaussianMLPPolicy(make_env("Pendulum-v1", trials=2), hidden=[16])
+        >>> [tuple(parameter.shape) for parameter in policy.parameters()]
+        [(2, 1), (2, 16, 3), (2, 16), (2, 1, 16), (2, 1)]
+    """
+
+    actions = "continuous"
+
+    def __init__(
+        self,
+        env: EnvBase,
+        *,
+        hidden: Sequence[int] = (32, 32),
+        activation: str = "tanh",
+        bias: bool = True,
+        init: str = "glorot_uniform",
+        output_gain: float = 1.0,
+        initial_scale: float | Sequence[float] = 1.0,
+        state_dependent_scale: bool = False,
+        seed: int = 0,
+        first_trial: int = 0,
+    ) -> None:
+        if isinstance(hidden, str) or not isinstance(hidden, Sequence):
+            raise ValueError(f"hidden must be a list of sizes such as [32, 32], got {hidden!r}")
+        (trials,) = env.batch_size
+        dims = n_dims(env)
+        network = LaneMLP(
+            [n_features(env), *hidden, dims],
+            trials,
+            activation,
+            init,
+            seed,
+            first_trial,
+            bias=bias,
+            output_gain=output_gain,
+        )
+        module = LaneGaussian(
+            network, _log_scale(initial_scale, dims), state_dependent=state_dependent_scale
+        )
+        super().__init__(module, in_keys=["observation", "trial"], out_keys=["loc", "scale"])
+
+
+class GaussianLinearPolicy(GaussianMLPPolicy):
+    """π(·|s) = N(W s + b, diag(scale²)), one W, b and scale for each trial.
+
+    The Gaussian counterpart of ``LinearPolicy``: a ``GaussianMLPPolicy`` without hidden layers.
+
+    Args:
+        env: the environment, whose specs give the sizes and whose batch size the trials.
+        bias: whether there is a b, which begins at 0.
+        init: how W begins, a name of ``initial_weights``.
+        output_gain: factor of the initial W.
+        initial_scale: the first standard deviation > 0, one number or one per dimension.
+        state_dependent_scale: whether the scale depends on the observation, log-linearly.
+        streams: ``seed`` of the job and ``first_trial``, the trial index of row 0.
+
+    Raises:
+        ValueError: if the actions are not continuous, or an argument is out of range.
+    """
+
+    def __init__(
+        self,
+        env: EnvBase,
+        *,
+        bias: bool = True,
+        init: str = "glorot_uniform",
+        output_gain: float = 1.0,
+        initial_scale: float | Sequence[float] = 1.0,
+        state_dependent_scale: bool = False,
+        **streams: Any,
+    ) -> None:
+        super().__init__(
+            env,
+            hidden=[],
+            bias=bias,
+            init=init,
+            output_gain=output_gain,
+            initial_scale=initial_scale,
+            state_dependent_scale=state_dependent_scale,
+            **streams,
+        )
+
+
+def _log_scale(initial_scale: float | Sequence[float], dims: int) -> Tensor:
+    """The logarithm of ``initial_scale`` [n_dims]."""
+    several = isinstance(initial_scale, Sequence) and not isinstance(initial_scale, str)
+    values = list(initial_scale) if several else [initial_scale] * dims  # pyright: ignore
+    if len(values) != dims:
+        raise ValueError(
+            f"initial_scale has {len(values)} values, but an action has {dims} dimensions"
+        )
+    bounds = math.exp(-LARGEST_LOG), math.exp(LARGEST_LOG)
+    return torch.tensor([math.log(check_number("initial_scale", v, *bounds)) for v in values])

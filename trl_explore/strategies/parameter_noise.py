@@ -1,0 +1,216 @@
+"""Explore in the space of parameters: one perturbed policy for a whole episode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torch.func import functional_call
+
+from trl_explore.checks import check_number
+from trl_explore.ops import lane_sum
+from trl_explore.schedules import Schedule, as_schedule
+from trl_explore.strategies.mixture import Mixture, MixtureStrategy, check_trials
+from trl_explore.streams import Stream, generator
+
+Parameters = dict[str, Tensor]
+
+
+class ParameterNoise(MixtureStrategy):
+    """Softmax of the logits of the target policy with perturbed parameters.
+
+    μ(·|s) = softmax(logits(s; θ̃) / T),   θ̃ = θ + σ ξ,   ξ ~ N(0, I), drawn once per episode
+
+    (Plappert et al. 2018, "Parameter Space Noise for Exploration", §3.) Given ξ, and it is given in
+    an episode, the probabilities of μ are exact, and at T > 0 an action of positive probability
+    under π has one under μ.
+
+    With a ``threshold``, σ of each trial adapts to what the noise does to the actions: after every
+    iteration, with d the mean KL(π‖π̃) in nats over the frames of the trial's last episode, between
+    the softmax at T = 1 of the two sets of logits, as they were in that episode,
+
+        σ ← factor · σ if d <= threshold, else σ / factor      (§3.1; appendix C.1 for the KL)
+
+    The first dimension of every parameter of the policy is the trial; if there is one trial, any
+    parameters serve. ``bind`` gives the policy. A collector that does not call ``begin`` has to
+    mark the first frames of episodes with "is_init" (TorchRL's ``InitTracker``); without it one
+    perturbation lasts.
+
+    Args:
+        sigma: σ >= 0, a number, one number per trial, or a schedule of the iteration.
+        temperature: T >= 0, likewise; 0 is argmax.
+        threshold: > 0, the d aimed for; None: σ does not adapt.
+        factor: > 1.
+        options: the arguments of ``Strategy``.
+
+    Raises:
+        ValueError: if an argument is out of range, or the policy's parameters are of another form.
+    """
+
+    def __init__(
+        self,
+        sigma: float | Sequence[float] | Schedule = 0.1,
+        temperature: float | Sequence[float] | Schedule = 1.0,
+        threshold: float | None = 0.1,
+        factor: float = 1.01,
+        **options: Any,
+    ) -> None:
+        super().__init__(**options)
+        self.sigma = as_schedule("sigma", sigma, 0, float("inf"))
+        self.temperature = as_schedule("temperature", temperature, 0, float("inf"))
+        self.threshold = threshold
+        if threshold is not None:
+            self.threshold = check_number("threshold", threshold, 0, low_open=True)
+        self.factor = check_number("factor", factor, 1, low_open=True)
+        self.scale: NDArray[np.float64] = np.ones(1)
+        """What adaptation has multiplied σ with, for each trial [trials]."""
+        self._policy: tuple[TensorDictModuleBase, ...] = ()  # a tuple: it is no part of this module
+        self._whom = (0, 0)  # seed, first trial
+        self._forget(1)
+
+    def _forget(self, trials: int) -> None:
+        self._episodes = np.full(trials, -1, dtype=np.int64)
+        self._noise_of = np.zeros((trials, 0))
+        self._fresh = np.zeros(trials, dtype=np.bool_)
+        self._center: Parameters = {}
+        self._perturbed: Parameters = {}
+
+    def bind(
+        self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
+    ) -> None:
+        """Take the policy whose parameters are to be perturbed."""
+        super().bind(policy, trials, seed=seed, first_trial=first_trial)
+        check_trials(trials, self.sigma(self.iteration))
+        for name, parameter in policy.named_parameters():
+            if trials > 1 and (parameter.ndim == 0 or len(parameter) != trials):
+                raise ValueError(
+                    f"the first dimension of every parameter must be the {trials} trials, "
+                    f"but {name} is {list(parameter.shape)}"
+                )
+        self._policy, self._whom = (policy,), (seed, first_trial)
+        self.scale = np.ones(trials)
+        self._forget(trials)
+
+    def mixture(self) -> Mixture:
+        """The softmax corner, of ``preferences``."""
+        return Mixture(softmax=1.0, temperature=self.temperature(self.iteration))
+
+    def begin(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
+        """Perturb the parameters of the active trials, which stay so for an episode."""
+        if not self._policy:
+            raise ValueError("parameter noise needs the policy: call bind(policy, trials) first")
+        own = {name: p.detach() for name, p in self._policy[0].named_parameters()}
+        trials = len(self.scale)
+        size = sum(p.numel() for p in own.values()) // trials
+        if self._noise_of.shape[1] != size:
+            self._noise_of = np.zeros((trials, size))
+        seed, first_trial = self._whom
+        for k in np.flatnonzero(active).tolist():
+            stream = generator(seed, Stream.STRATEGY, first_trial + k, int(episodes[k]))
+            self._noise_of[k] = stream.standard_normal(size)
+        self._episodes[active] = episodes[active]
+        self._fresh[active] = True
+        noise = torch.from_numpy(self._noise_of * self._sigma()[:, None])
+        if not self._center:
+            self._center = {name: p.clone() for name, p in own.items()}
+        rows, start = torch.from_numpy(active), 0
+        for name, parameter in own.items():
+            n = parameter.numel() // trials
+            shift = noise[:, start : start + n].to(parameter.dtype).reshape(parameter.shape)
+            start += n
+            if trials == 1:
+                self._center[name] = parameter.clone()
+            else:
+                self._center[name][rows] = parameter[rows]
+            self._perturbed[name] = self._center[name] + shift
+
+    def _sigma(self) -> NDArray[np.float64]:
+        """σ of each trial in the current iteration [trials]."""
+        return self.scale * self.sigma(self.iteration)
+
+    def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
+        """The logits of the perturbed policy."""
+        first = tensordict.get("is_init", None)
+        if not self._perturbed:
+            self.begin(np.ones(len(self.scale), dtype=np.bool_), self._episodes.clip(0))
+        elif first is not None:
+            self._begin_again(tensordict, first)
+        self._fresh[:] = False
+        return self._logits(self._perturbed, tensordict).masked_fill(
+            logits == -torch.inf, -torch.inf
+        )
+
+    def _begin_again(self, tensordict: TensorDictBase, first: Tensor) -> None:
+        """Begin the next episode of trials whose frame is a first one, unless it has just begun."""
+        trial = tensordict.get("trial", None)
+        starts = np.zeros(len(self.scale), dtype=np.bool_)
+        first = first.reshape(-1)
+        starts[0 if trial is None else trial.reshape(-1)[first].numpy()] = bool(first.any())
+        starts &= ~self._fresh
+        if starts.any():
+            self.begin(starts, self._episodes + 1)
+
+    def _logits(self, parameters: Parameters, tensordict: TensorDictBase) -> Tensor:
+        policy = self._policy[0]
+        given = tensordict.select(*policy.in_keys, strict=False)
+        with torch.no_grad():
+            return functional_call(policy, parameters, (given,)).get(self.logits_key)
+
+    def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
+        """The perturbed ones."""
+        names = {id(parameter): name for name, parameter in self._policy[0].named_parameters()}
+        return [self._perturbed[names[id(parameter)]] for parameter in parameters]
+
+    def step(self, data: TensorDictBase | None = None) -> None:
+        """Adapt σ."""
+        super().step(data)
+        if data is None or self.threshold is None or not self._perturbed:
+            return
+        data = _last_episodes(data)
+        distance, frames = self._distance(data)
+        grow = np.where(distance <= self.threshold, self.factor, 1 / self.factor)
+        self.scale = np.where(frames > 0, self.scale * grow, self.scale)
+
+    def _distance(self, data: TensorDictBase) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Mean KL(π‖π̃) over the frames of each trial, and their number, both [trials]."""
+        trials = len(self.scale)
+        own, other = (self._logits(p, data) for p in (self._center, self._perturbed))
+        if (mask := data.get(self.action_mask_key, None)) is not None:
+            own, other = own.masked_fill(~mask, -torch.inf), other.masked_fill(~mask, -torch.inf)
+        own, other = own.double().log_softmax(-1), other.double().log_softmax(-1)
+        terms = torch.where(own == -torch.inf, 0.0, own.exp() * (own - other))
+        trial = data.get("trial", None)
+        if trial is None:
+            trial = torch.zeros(len(data), dtype=torch.int64)
+        frames = torch.bincount(trial, minlength=trials)
+        total = lane_sum(terms.sum(-1), trial, trials)
+        return (total / frames.clamp(min=1)).numpy(), frames.numpy()
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """What ``state_dict`` holds; a perturbation is drawn again from its stream."""
+        adapted = {"scale": torch.tensor(self.scale), "episodes": torch.tensor(self._episodes)}
+        return {**super().get_extra_state(), **adapted}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore what ``get_extra_state`` gave."""
+        super().set_extra_state(state)
+        self._forget(len(state["scale"]))
+        self.scale, self._episodes = state["scale"].numpy().copy(), state["episodes"].numpy().copy()
+
+
+def _last_episodes(data: TensorDictBase) -> TensorDictBase:
+    """The frames of every trial's last episode, flat [frames]."""
+    data = data.reshape(-1)
+    trial = data.get("trial", None)
+    if trial is None:
+        trial = torch.zeros(len(data), dtype=torch.int64)
+    done = data.get(("next", "done")).reshape(-1)
+    ended = done.cumsum(0) - done.long()  # episodes that ended before the frame
+    last = ended.new_zeros(int(trial.max()) + 1).scatter_reduce(0, trial, ended, "amax")
+    return data[ended == last[trial]]

@@ -1,0 +1,128 @@
+"""Explore while the value changes: ε that follows the learning progress."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+
+from trl_explore.checks import check_number
+from trl_explore.strategies.mixture import Mixture, MixtureStrategy
+
+
+class VDBE(MixtureStrategy):
+    """ε-greedy with one ε for each trial, large while the trial's mean score still changes.
+
+    μ(a|s) = (1 − ε) · 1[a ∈ A*] / |A*| + ε / n_actions,  with, after iteration i of mean score G,
+
+        V' = V + α (G − V),   Δ = (V' − V) / max(|V'|, |V|),   V = 0 before the first
+        f(Δ, σ) = (1 − e^{−|Δ|/σ}) / (1 + e^{−|Δ|/σ}) = tanh(|Δ| / 2σ)
+        ε' = δ · f(Δ, σ) + (1 − δ) · ε
+
+    f is the difference of the two Boltzmann probabilities of V and V'. (Tokic 2010, "Adaptive
+    ε-Greedy Exploration in Reinforcement Learning Based on Value Differences", §3, "VDBE".) There
+    V is the value of a state and action, and ε that of a state; a policy gradient has no values,
+    so that V is here a running mean of the trial's scores. Δ is relative to V, without unit, so
+    that one σ serves scores of 10 and of −500. Where the score never changes (nothing but 0 before
+    the first goal), Δ is 0 and ε falls to 0.
+
+    The scores are ("next", "episode_reward") where ("next", "done"), in the data given to
+    ``step``; without data ε stays.
+
+    Args:
+        initial: ε in iteration 0, in [0, 1].
+        sigma: σ > 0, the inverse sensitivity.
+        delta: δ in [0, 1]; Tokic takes 1 / n_actions.
+        step_size: α in (0, 1].
+        options: the arguments of ``Strategy``.
+
+    Raises:
+        ValueError: if an argument is out of range.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> strategy = VDBE(sigma=0.5, delta=0.5)
+        >>> after = {"done": torch.tensor([[True]]), "episode_reward": torch.tensor([[20.0]])}
+        >>> strategy.step(TensorDict({"next": TensorDict(after, [1])}, [1]))
+        >>> f"{strategy.epsilon[0]:.4f}"  # Δ = 1: 0.5 tanh(1) + 0.5
+        '0.8808'
+    """
+
+    def __init__(
+        self,
+        initial: float = 1.0,
+        sigma: float = 0.1,
+        delta: float = 0.5,
+        step_size: float = 0.1,
+        **options: Any,
+    ) -> None:
+        super().__init__(**options)
+        self.initial = check_number("initial", initial, 0, 1)
+        self.sigma = check_number("sigma", sigma, 0, low_open=True)
+        self.delta = check_number("delta", delta, 0, 1)
+        self.step_size = check_number("step_size", step_size, 0, 1, low_open=True)
+        self.epsilon: NDArray[np.float64] = np.array([self.initial])
+        """ε of each trial [trials]."""
+        self.value: NDArray[np.float64] = np.zeros(1)
+        """V of each trial [trials]."""
+
+    def bind(
+        self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
+    ) -> None:
+        """Begin with one ε for each trial."""
+        super().bind(policy, trials, seed=seed, first_trial=first_trial)
+        self.epsilon, self.value = np.full(trials, self.initial), np.zeros(trials)
+
+    def mixture(self) -> Mixture:
+        """A point on the edge from greedy to uniform for each trial."""
+        epsilon = self.epsilon if len(self.epsilon) > 1 else float(self.epsilon[0])
+        return Mixture(greedy=1 - epsilon, uniform=epsilon)
+
+    def step(self, data: TensorDictBase | None = None) -> None:
+        """Learn from the scores of the iteration.
+
+        Raises:
+            KeyError: if the data do not hold the scores.
+        """
+        super().step(data)
+        if data is None:
+            return
+        after = data.get("next")
+        if "episode_reward" not in after:
+            raise KeyError("VDBE learns from ('next', 'episode_reward'), which the data lack")
+        done = after.get("done").reshape(-1)
+        scores = after.get("episode_reward").reshape(-1)[done].tolist()
+        trial = data.get("trial", None)
+        own: dict[int, list[float]] = {}
+        for k, score in zip(
+            [0] * len(scores) if trial is None else trial.reshape(-1)[done].tolist(),
+            scores,
+            strict=True,
+        ):
+            own.setdefault(k, []).append(score)
+        for k, of_trial in own.items():
+            self._learn(k, sum(of_trial) / len(of_trial))
+
+    def _learn(self, k: int, score: float) -> None:
+        old = float(self.value[k])
+        new = old + self.step_size * (score - old)
+        largest = max(abs(new), abs(old))
+        change = abs(new - old) / largest if largest > 0 else 0.0
+        aim = math.tanh(change / (2 * self.sigma))
+        self.value[k] = new
+        self.epsilon[k] = self.delta * aim + (1 - self.delta) * self.epsilon[k]
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """What ``state_dict`` holds; ε and V of every trial are part of it."""
+        learnt = {"epsilon": torch.tensor(self.epsilon), "value": torch.tensor(self.value)}
+        return {**super().get_extra_state(), **learnt}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore what ``get_extra_state`` gave."""
+        super().set_extra_state(state)
+        self.epsilon, self.value = state["epsilon"].numpy().copy(), state["value"].numpy().copy()
