@@ -71,7 +71,7 @@ def network_of(policy: TensorDictModuleBase) -> tuple[Network, list[nn.Parameter
         layers = [cast(LaneLinear, layer) for layer in module.layers]
         bias = layers[0].bias is not None
         parameters = [layer.weight for layer in layers]
-        parameters += [layer.bias for layer in layers] if bias else []
+        parameters += [cast(nn.Parameter, layer.bias) for layer in layers] if bias else []
         sizes = (layers[0].weight.shape[2], *(layer.weight.shape[1] for layer in layers))
         return Network("mlp", sizes, module.activation, bias), parameters
     return None
