@@ -74,6 +74,7 @@ def train(config: DictConfig, folder: Path) -> None:
     """Run a job into its folder, unless it is there already."""
     choices = configuration.current_choices()
     configuration.check_keys(config, choices)
+    configuration.fill_threshold(config)
     values = configuration.resolved(config)
     if results.is_finished(folder) and not config.restart:
         leave_finished(folder, values)
