@@ -25,6 +25,7 @@ from trl_explore.results.names import (
     ResultsError,
 )
 from trl_explore.results.reading import (
+    find_folders,
     find_jobs,
     is_finished,
     read_curves,
@@ -48,6 +49,7 @@ __all__ = [
     "TRIAL_COLUMNS",
     "ResultsError",
     "clear",
+    "find_folders",
     "find_jobs",
     "is_finished",
     "read_curves",
