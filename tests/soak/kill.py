@@ -57,6 +57,8 @@ SWEEPS = {
 SIGNALS = [signal.SIGKILL] * 3 + [signal.SIGTERM, signal.SIGINT]
 LEFT = re.compile(r"/checkpoint/|/\.lock$")
 CLEAN = {signal.SIGTERM: 143, signal.SIGINT: 130}
+BIRTH = 0.3
+"""Seconds after which a process serves signals itself; before, they end it as they end any."""
 PROMPT = 3.0
 """Seconds within which a process that is asked to end must have ended, on a busy machine."""
 
@@ -204,12 +206,15 @@ def one_round(
     done: set[str] = set()
     while True:
         signum = rng.choice(SIGNALS)
-        ended = run(arguments, place, signum, rng.uniform(0, 1.2 * seconds))
+        after = rng.uniform(0, 1.2 * seconds)
+        ended = run(arguments, place, signum, after)
         if ended.status == 0:
             break
         if ended.status not in (-signum, CLEAN.get(signum)):
             raise BrokenPromiseError(f"status {ended.status}: {ended.stderr}")
         counts[signal.Signals(signum).name] += 1
+        if ended.status == -signum and after < BIRTH:
+            signum = signal.SIGKILL  # nobody was there yet to see it
         done = check_after(ended, signum, done, folder, expected)
     if found := difference(contents(folder), expected):
         raise BrokenPromiseError(found)

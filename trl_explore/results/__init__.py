@@ -15,6 +15,7 @@ whole. While a job is not finished, its folder also holds ``checkpoint/`` (see
 ``trl_explore.checkpoint``), from which it goes on, and ``.lock`` while a process runs it.
 """
 
+from trl_explore.results.integrity import check_whole
 from trl_explore.results.names import (
     EPISODE_COLUMNS,
     EPISODES,
@@ -48,6 +49,7 @@ __all__ = [
     "TRIALS",
     "TRIAL_COLUMNS",
     "ResultsError",
+    "check_whole",
     "clear",
     "find_folders",
     "find_jobs",

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trl_explore.results.integrity import record
 from trl_explore.results.names import (
     EPISODE_COLUMNS,
     EPISODES,
@@ -103,6 +104,7 @@ def write_job(
         "seconds": seconds,
         "iterations": trials.iteration,
         "threads": _threads(),
+        "files": record(job),
         "config": config,
         "versions": versions(),
         "machine": {"system": platform.system(), "processor": platform.machine()},
