@@ -7,6 +7,7 @@ import os
 import sys
 import traceback
 from contextlib import suppress
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,9 +26,9 @@ from trl_explore import config as configuration
 from trl_explore import results
 from trl_explore.checkpoint import FOLDER as CHECKPOINT
 from trl_explore.checkpoint import Checkpoint, Store
-from trl_explore.config import CONF, ConfigError
+from trl_explore.config import CONF, ConfigError, Ended
 from trl_explore.locks import NAME as LOCK
-from trl_explore.locks import Lock
+from trl_explore.locks import Lock, LockedError
 from trl_explore.results import ResultsError
 from trl_explore.resume import find
 
@@ -37,34 +38,50 @@ if TYPE_CHECKING:
 EXPECTED = (ValueError, OmegaConfBaseException, OSError, MemoryError)
 """Errors whose message says enough; before others stands their type."""
 show_traceback = bool(os.environ.get("HYDRA_FULL_ERROR"))
-finished: list[Path] = []
-failed: list[str] = []
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
-def run(config: DictConfig) -> None:
-    """One job of a sweep, or the only one."""
+def run(config: DictConfig) -> Ended:
+    """One job of a sweep, or the only one; in a process of a launcher, if there is one."""
     folder = configuration.current_folder()
+    if configuration.is_worker():
+        begin_worker()
     try:
-        train(config, folder)
-        finished.append(folder)
+        try:
+            train(config, folder)
+        except Exception:
+            signals.check()  # it may be what a signal has become on its way
+            raise
     except Exception as error:  # whatever ends a job, the others of the sweep are run
-        signals.check()
-        with suppress(OSError):
-            folder.rmdir()  # only if nothing is in it
+        if show_traceback:
+            traceback.print_exc()
         line = configuration.describe(error)
         if not isinstance(error, EXPECTED):
             line = f"{type(error).__name__}: {line}"
-        failed.append(f"{folder.name}: {line}" if configuration.is_multirun() else line)
-        print(f"error: {failed[-1]}", file=sys.stderr)
-        if show_traceback:
-            traceback.print_exc()
+        other = isinstance(error, LockedError)  # who has it tells how it ends
+        return configuration.end_job(folder, line, record=not other)
+    except KeyboardInterrupt as error:
+        if not configuration.is_worker():
+            raise
+        return configuration.end_job(folder, str(error) or "interrupted", record=False)
+    return configuration.end_job(folder)
+
+
+def begin_worker() -> None:
+    """Only whole lines come from a process that shares its terminal with others."""
+    from trl_explore.console import Progress
+
+    Progress.quiet = True
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(line_buffering=True)
 
 
 def train(config: DictConfig, folder: Path) -> None:
     """Run a job into its folder, unless it is there already."""
     choices = configuration.current_choices()
     configuration.check_keys(config, choices)
+    configuration.fill_threshold(config)
     values = configuration.resolved(config)
     if results.is_finished(folder) and not config.restart:
         leave_finished(folder, values)
@@ -194,8 +211,11 @@ def sweep() -> int:
     """All jobs of the command; returns the exit status."""
     try:
         signals.raise_on_signals()
-        run()
+        with configuration.collecting() as jobs:
+            run()
         signals.check()
+        finished = [job.folder for job in jobs if not job.error]
+        failed = [job for job in jobs if job.error]
         if finished:
             show(finished)
     except Exception as error:
@@ -204,10 +224,10 @@ def sweep() -> int:
             raise
         print(f"error: {configuration.describe(error)}", file=sys.stderr)
         return 1
-    if len(failed) + len(finished) > 1 and failed:
-        print(f"{len(failed)} of {len(failed) + len(finished)} jobs failed:", file=sys.stderr)
-        for line in failed:
-            print(f"  {line}", file=sys.stderr)
+    if len(jobs) > 1 and failed:
+        print(f"{len(failed)} of {len(jobs)} jobs failed:", file=sys.stderr)
+        for job in failed:
+            print(f"  {job.line}", file=sys.stderr)
     return 1 if failed else 0
 
 

@@ -26,6 +26,7 @@ from trl_explore.results.names import (
     ResultsError,
 )
 from trl_explore.results.reading import (
+    find_folders,
     find_jobs,
     is_finished,
     read_curves,
@@ -50,6 +51,7 @@ __all__ = [
     "ResultsError",
     "check_whole",
     "clear",
+    "find_folders",
     "find_jobs",
     "is_finished",
     "read_curves",

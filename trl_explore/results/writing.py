@@ -103,6 +103,8 @@ def write_job(
         "trials": len(trials),
         "collector": collector,
         "seconds": seconds,
+        "iterations": trials.iteration,
+        "threads": _threads(),
         "files": record(job),
         "config": config,
         "versions": versions(),
@@ -110,6 +112,15 @@ def write_job(
     }
     _sync(job)
     _write_text(job / RUN, json.dumps(run, indent=2) + "\n")
+
+
+def _threads() -> dict[str, int]:
+    """Among how many threads the work was divided: by compiled code, and by torch."""
+    import torch
+
+    from trl_explore.threads import get_threads
+
+    return {"compiled": get_threads(), "torch": torch.get_num_threads()}
 
 
 def _write_text(path: Path, text: str) -> None:
