@@ -20,6 +20,7 @@ WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGH
 
 
 _received: list[Interrupted] = []
+"""The signals that have come since the program began to serve them."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -44,6 +45,7 @@ def raise_on_signals() -> None:
         _received.append(Interrupted(signum))
         raise _received[0]
 
+    _received.clear()
     for signum in _served():
         signal.signal(signum, handle)
 
