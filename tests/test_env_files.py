@@ -134,7 +134,7 @@ def test_every_file_trains(run_many, tmp_path):
     ran = run_many(
         [job(name, tmp_path / c, f"collector={c}") for name, c in commands], cwd=tmp_path
     )
-    for (name, collector), result in zip(commands, ran, strict=True):
+    for (name, _), result in zip(commands, ran, strict=True):
         assert result.returncode == 0, (name, result.stderr)
     seen = []
     for path in (tmp_path / "auto").glob("*/*/run.json"):
