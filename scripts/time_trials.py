@@ -14,6 +14,7 @@ import logging
 import sys
 import time
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +27,11 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
-from trl_explore import results
-from trl_explore.config import CONF, ConfigError
+from trl_explore import results, schedules
+from trl_explore.config import CONF, GROUPS, ConfigError
 
 ORDER_SEED = 0
 """Of the order in which the trials are run."""
-TRUSTED = ("trl_explore.", "torch.optim.")
-"""What a recorded configuration may construct."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +72,32 @@ def compose_job(folder: Path) -> Job:
     configuration.check_keys(composed, choices)
     values = configuration.resolved(composed)
     for target in _targets(values):
-        if not str(target).startswith(TRUSTED):
+        if not _is_known(target):
             raise ConfigError(f"{folder}: {target} is not of this program and is not run again")
     # Constructors may have got another name; that each trial is the same one is checked when run.
     changed = [d for d in configuration.differences(run["config"], values) if "._" not in d]
     if changed:
         raise ConfigError(f"{folder}: conf/ has changed since ({'; '.join(changed)})")
     return Job(folder, run["experiment"], composed, results.read_trials(folder))
+
+
+@cache
+def _known() -> frozenset[str]:
+    """What the files of ``conf/`` construct; a folder of results names nothing else."""
+    files = [path for group in GROUPS for path in (CONF / group).glob("*.yaml")]
+    return frozenset(
+        str(target)
+        for path in files
+        for target in _targets(OmegaConf.to_container(OmegaConf.load(path)))
+    )
+
+
+def _is_known(target: Any) -> bool:
+    """Whether a recorded configuration may construct this: as ``conf/`` does, or a schedule."""
+    place, _, name = str(target).rpartition(".")
+    kind = vars(schedules).get(name) if place == schedules.__name__ else None
+    schedule = isinstance(kind, type) and issubclass(kind, schedules.Schedule)
+    return schedule or str(target) in _known()
 
 
 def _targets(node: Any) -> list[Any]:

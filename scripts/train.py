@@ -7,13 +7,15 @@ import os
 import sys
 import traceback
 from contextlib import suppress
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trl_explore.signals import Interrupted, Interrupts, leave_on_signals, raise_on_signals
+from trl_explore import signals
+from trl_explore.signals import Interrupted, Interrupts
 
 if __name__ == "__main__":
-    leave_on_signals()
+    signals.leave_on_signals()
 
 import hydra
 from hydra.errors import HydraException
@@ -24,8 +26,10 @@ from trl_explore import config as configuration
 from trl_explore import results
 from trl_explore.checkpoint import FOLDER as CHECKPOINT
 from trl_explore.checkpoint import Checkpoint, Store
-from trl_explore.config import CONF, ConfigError
-from trl_explore.locks import Lock
+from trl_explore.config import CONF, ConfigError, Ended
+from trl_explore.locks import NAME as LOCK
+from trl_explore.locks import Lock, LockedError
+from trl_explore.results import ResultsError
 from trl_explore.resume import find
 
 if TYPE_CHECKING:
@@ -34,27 +38,40 @@ if TYPE_CHECKING:
 EXPECTED = (ValueError, OmegaConfBaseException, OSError, MemoryError)
 """Errors whose message says enough; before others stands their type."""
 show_traceback = bool(os.environ.get("HYDRA_FULL_ERROR"))
-finished: list[Path] = []
-failed: list[str] = []
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
-def run(config: DictConfig) -> None:
-    """One job of a sweep, or the only one."""
+def run(config: DictConfig) -> Ended:
+    """One job of a sweep, or the only one; in a process of a launcher, if there is one."""
     folder = configuration.current_folder()
+    if configuration.is_worker():
+        begin_worker()
     try:
         train(config, folder)
-        finished.append(folder)
     except Exception as error:  # whatever ends a job, the others of the sweep are run
-        with suppress(OSError):
-            folder.rmdir()  # only if nothing is in it
+        signals.check()
+        if show_traceback:
+            traceback.print_exc()
         line = configuration.describe(error)
         if not isinstance(error, EXPECTED):
             line = f"{type(error).__name__}: {line}"
-        failed.append(f"{folder.name}: {line}" if configuration.is_multirun() else line)
-        print(f"error: {failed[-1]}", file=sys.stderr)
-        if show_traceback:
-            traceback.print_exc()
+        other = isinstance(error, LockedError)  # who has it tells how it ends
+        return configuration.end_job(folder, line, record=not other)
+    except KeyboardInterrupt as error:
+        if not configuration.is_worker():
+            raise
+        return configuration.end_job(folder, str(error) or "interrupted", record=False)
+    return configuration.end_job(folder)
+
+
+def begin_worker() -> None:
+    """Only whole lines come from a process that shares its terminal with others."""
+    from trl_explore.console import Progress
+
+    Progress.quiet = True
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(line_buffering=True)
 
 
 def train(config: DictConfig, folder: Path) -> None:
@@ -80,13 +97,18 @@ def train(config: DictConfig, folder: Path) -> None:
 
 def leave_finished(folder: Path, values: dict[str, Any]) -> None:
     """Say that a job is finished, and remove what a kill in its last moment left there."""
-    differences = configuration.differences(results.read_run(folder)["config"], values)
+    record = results.read_run(folder)
+    differences = configuration.differences(record["config"], values)
     if differences:
         raise ConfigError(
             f"{folder} holds a job of another configuration ({'; '.join(differences)}); "
             "restart=true begins anew"
         )
-    if (folder / CHECKPOINT).exists():
+    try:
+        results.check_whole(folder, record)
+    except ResultsError as error:
+        raise ResultsError(f"{error}; restart=true begins anew") from None
+    if (folder / CHECKPOINT).exists() or (folder / LOCK).exists():
         with suppress(OSError), Lock(folder):
             Store(folder).clear()
     print(f"{folder.name}: finished before, nothing to do (restart=true begins anew)")
@@ -155,9 +177,12 @@ def train_from(
                 evaluator=trainer.evaluator,
                 diagnostics=trainer.diagnostics,
             )
-    except Interrupted as error:
-        saver.rescue()
-        error.where = f" at iteration {saver.saved} of {folder.name}" if saver.saved else ""
+    except BaseException:
+        if interrupts.pending is not None:
+            saver.rescue()
+            if saver.saved:
+                interrupts.pending.where = f" at iteration {saver.saved} of {folder.name}"
+            interrupts.check()
         raise
     finally:
         progress.close()
@@ -173,22 +198,33 @@ def main() -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # hand errors over instead of printing tracebacks
     configuration.register_resolvers()
     try:
-        raise_on_signals()
-        run()
-        if finished:
-            show(finished)
-    except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
-        if show_traceback:
-            raise
-        print(f"error: {configuration.describe(error)}", file=sys.stderr)
-        return 1
+        return sweep()
     except Interrupted as error:
         print(f"{error}{error.where}; the same command goes on", file=sys.stderr)
         return error.status
-    if len(failed) + len(finished) > 1 and failed:
-        print(f"{len(failed)} of {len(failed) + len(finished)} jobs failed:", file=sys.stderr)
-        for line in failed:
-            print(f"  {line}", file=sys.stderr)
+
+
+def sweep() -> int:
+    """All jobs of the command; returns the exit status."""
+    try:
+        signals.raise_on_signals()
+        with configuration.collecting() as jobs:
+            run()
+        signals.check()
+        finished = [job.folder for job in jobs if not job.error]
+        failed = [job for job in jobs if job.error]
+        if finished:
+            show(finished)
+    except Exception as error:
+        signals.check()
+        if show_traceback or not isinstance(error, (HydraException, *EXPECTED)):
+            raise
+        print(f"error: {configuration.describe(error)}", file=sys.stderr)
+        return 1
+    if len(jobs) > 1 and failed:
+        print(f"{len(failed)} of {len(jobs)} jobs failed:", file=sys.stderr)
+        for job in failed:
+            print(f"  {job.line}", file=sys.stderr)
     return 1 if failed else 0
 
 

@@ -382,7 +382,7 @@ WRONG = {
     "~loss.gamma": "'loss.gamma' has been removed",
     "strategy=null": "strategy",
     "collector=fused env=gym env.id=Acrobot-v1": "no kernel is registered for AcrobotEnv",
-    "strategy=boltzmann": "strategy=boltzmann",
+    "strategy=thompson": "strategy=thompson",
     "strategy=epsilon_greedy strategy.epsilon=1.5": "in [0, 1], got 1.5",
     "strategy=epsilon_greedy strategy.epsilon=-0.1": "in [0, 1], got -0.1",
     "strategy=epsilon_greedy strategy.epsilon=nan": "in [0, 1], got nan",
@@ -409,7 +409,7 @@ WRONG = {
     "env=gym": "env.id must be set",
     "env=gym env.id=NoSuch-v7": "NoSuch-v7",
     "env=gym env.id=Taxi-v3": "Taxi-v3",
-    "env=gym env.id=Pendulum-v1": "Discrete",
+    "env=gym env.id=Pendulum-v1": "continuous actions, not served by Softmax and LinearPolicy",
     "env=gym env.id=Blackjack-v1": "Blackjack-v1",
     "env=gym env.id=CliffWalking-v1": "set max_steps",
     "env.max_steps=0": "max_steps must be an integer >= 1, got 0",
@@ -425,7 +425,7 @@ WRONG = {
     "~trials": "trials",
     "collector=warp": "collector=warp",
     "experiment=nope": "experiment=nope",
-    "-m strategy=softmax,boltzmann trials=0": "",
+    "-m strategy=softmax,thompson trials=0": "",
     "output_dir={file}/x": "{file}/x",
     "output_dir=/proc/no/where": "cannot write /proc/no",
     "nonsense": "nonsense",
@@ -472,6 +472,17 @@ def test_wrong_input_in_a_process_of_its_own(run_cli, tmp_path):
     assert process.stdout == ""
     assert process.stderr == "error: strategy: epsilon must be a number in [0, 1], got 2\n"
     assert not results_below(tmp_path)
+
+
+def test_a_sweep_over_schedules(run_many, tmp_path):
+    debug = ["experiment=debug", f"output_dir={tmp_path}", "strategy=softmax"]
+    kinds = "+schedule@strategy.temperature=linear,cosine"
+    (ran,) = run_many([["-m", *debug, kinds, "++strategy.temperature.initial=5"]], tmp_path)
+    assert (ran.returncode, complaints(ran)) == (0, [])
+    rest = "temperature.final=0.1,temperature.initial=5.0,temperature.iterations=500"
+    expected = {f"softmax,temperature={kind},{rest}" for kind in ("linear", "cosine")}
+    assert {path.name for path in (tmp_path / "debug").iterdir() if path.is_dir()} == expected
+    assert len(read_jobs([tmp_path])) == 2
 
 
 def test_one_wrong_job_does_not_stop_a_sweep(run_many, tmp_path):

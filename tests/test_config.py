@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -25,10 +26,22 @@ from trl_explore.config import (
     job_name,
     resolved,
 )
+from trl_explore.config.kinds import options
 
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 FILES = [(group, path.stem) for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
-MANDATORY = {("env", "gym"): ["env.id=Acrobot-v1", "env.max_steps=20"]}
+MANDATORY = {
+    ("env", "gym"): ["env.id=Acrobot-v1", "env.max_steps=20"],
+    ("policy", "tabular"): ["env=gym", "env.id=FrozenLake-v1"],
+}
+PENDULUM = ["env=gym", "env.id=Pendulum-v1", "env.max_steps=20"]
+MANDATORY |= {
+    ("policy", name): [*PENDULUM, "strategy=gaussian"] for name in options("policy", "continuous")
+}
+MANDATORY |= {
+    ("strategy", name): [*PENDULUM, "policy=gaussian_linear"]
+    for name in options("strategy", "continuous")
+}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -272,7 +285,7 @@ def test_a_long_name_is_short_and_still_its_own():
         ("+loss.gama=1", r"unknown key 'loss.gama'; loss=reinforce has: .*gamma"),
         ("+env.steps=1", r"unknown key 'env.steps'; env=cartpole has: id, kwargs, max_iter"),
         ("+optimizer.betas=[0,0]", r"unknown key 'optimizer.betas'; optimizer=adam has: lr"),
-        ("+policy.bias=true", r"unknown key 'policy.bias'; policy=linear has: no keys"),
+        ("+policy.bias=true", r"unknown key 'policy.bias'; policy=linear has: init"),
     ],
 )
 def test_keys_that_do_not_exist(override, message):
@@ -280,6 +293,75 @@ def test_keys_that_do_not_exist(override, message):
     with pytest.raises(ConfigError, match=message) as error:
         check_keys(config, choices)
     assert "\n" not in str(error.value)
+
+
+SCHEDULES = sorted(path.stem for path in (CONF / "schedule").glob("*.yaml"))
+COSINE = "+schedule@strategy.epsilon=cosine"
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+def test_every_schedule_serves_a_parameter(schedule):
+    config, choices = composed(
+        "strategy=epsilon_greedy", f"+schedule@strategy.epsilon={schedule}", "trials=2"
+    )
+    check_keys(config, choices)
+    epsilon = build_trainer(config).collector.strategy.epsilon
+    assert type(epsilon).__name__.lower() == schedule
+    assert epsilon(0) == 1.0
+    assert job_name(config, choices).startswith(f"epsilon_greedy,epsilon={schedule},epsilon.")
+
+
+def test_names_of_schedules():
+    linear = ("strategy=softmax", "+schedule@strategy.temperature=linear")
+    values = "temperature.final=0.1,temperature.initial=5.0,temperature.iterations=500"
+    assert name(*linear, "strategy.temperature.initial=5") == f"softmax,temperature=linear,{values}"
+    cosine = (linear[0], linear[1].replace("linear", "cosine"))
+    names = [
+        name(*choice, f"strategy.temperature.initial={initial}")
+        for choice in (linear, cosine)
+        for initial in (1, 2.5)
+    ]
+    assert len({*names, name("strategy=softmax"), name("strategy=boltzmann")}) == 6
+    exponential = "boltzmann,temperature.decay=0.99,temperature.initial=5.0"
+    assert name("strategy=boltzmann") == exponential
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (
+            ["strategy=epsilon_greedy", COSINE, "+strategy.epsilon.decay=1"],
+            "unknown key 'strategy.epsilon.decay'; this schedule has: final, initial, iterations",
+        ),
+        (
+            ["strategy=boltzmann", "+strategy.temperature.final=1"],
+            "unknown key 'strategy.temperature.final'; this schedule has: decay, initial",
+        ),
+        (
+            ["strategy=boltzmann", "+schedule@strategy.temperature=linear"],
+            "unknown key 'strategy.temperature.decay'; this schedule has: final, initial, "
+            "iterations; strategy=boltzmann has a schedule of its own, which cannot be exchanged",
+        ),
+        ([COSINE], "unknown key 'strategy.epsilon'; strategy=softmax has: temperature"),
+        (
+            ["+schedule@optimizer.lr=linear"],
+            "a schedule belongs to a parameter of the strategy, +schedule@strategy.NAME=…, "
+            "got 'optimizer.lr'",
+        ),
+        (["+schedule=linear"], "unknown key 'schedule'; known: "),
+    ],
+)
+def test_schedules_where_there_are_none(overrides, message):
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}"):
+        check_keys(*composed(*overrides))
+
+
+def test_a_parameter_that_takes_no_schedule():
+    overrides = ("strategy=decaying_epsilon_greedy", "+schedule@strategy.decay=linear")
+    config, choices = composed(*overrides)
+    check_keys(config, choices)
+    with pytest.raises(ConfigError, match=r"strategy: decay must be a number in \[0, 1\], got Lin"):
+        build_trainer(config)
 
 
 def test_arguments_of_an_environment_are_free():
@@ -337,7 +419,7 @@ WRONG = [
     (("loss.reduction=max",), "loss: reduction must be one of sum, mean, none, got 'max'"),
     (("env.max_steps=0",), "env: max_steps must be an integer >= 1, got 0"),
     (("env.id=NoSuch-v0",), "env: unknown environment id 'NoSuch-v0'"),
-    (("env.id=Pendulum-v1",), "env: environment 'Pendulum-v1' has action space Box"),
+    (("env.id=Pendulum-v1",), "continuous actions, not served by Softmax and LinearPolicy"),
     (("env.id=Blackjack-v1",), "env: environment 'Blackjack-v1' has observation space Tuple"),
     (
         ("env.id=CliffWalking-v1", "env.max_steps=null"),
@@ -362,7 +444,7 @@ def test_wrong_values_are_one_line(overrides, message):
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("strategy=boltzmann", "there is no strategy=boltzmann; available: argmax, "),
+        ("strategy=thompson", "there is no strategy=thompson; available: argmax, "),
         ("env=pong", "there is no env=pong; available: cartpole, gym"),
         ("experiment=no", "there is no experiment=no; available: debug, "),
         ("foo=1", "unknown key 'foo'; --help lists the keys"),

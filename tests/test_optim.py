@@ -7,9 +7,23 @@ import torch
 from torch import nn
 from torch.optim import SGD, Adam, RMSprop
 
-from trl_explore.optim import LaneAdam, LaneOptimizer, adam, torch_adam
+from trl_explore.optim import (
+    COUPLING,
+    ELEMENTWISE,
+    LaneAdam,
+    LaneOptimizer,
+    adam,
+    torch_adam,
+    torch_optimizer,
+)
 
 LANE_ADAMS = [LaneAdam, torch_adam]
+BY_NAME = [
+    *(partial(torch_optimizer, name=name) for name in ELEMENTWISE),
+    partial(torch_optimizer, name="SGD", options={"momentum": 0.9, "nesterov": True}),
+    partial(torch_optimizer, name="RMSprop", options={"momentum": 0.9, "centered": True}),
+    partial(torch_optimizer, name="AdamW", options={"amsgrad": True, "weight_decay": 0.1}),
+]
 
 
 def lanes(factory):
@@ -46,6 +60,7 @@ def state(optimizer, parameter: nn.Parameter) -> dict[str, torch.Tensor]:
         *LANE_ADAMS,
         lanes(partial(SGD, lr=0.1, momentum=0.9)),
         lanes(partial(RMSprop, lr=0.1)),
+        *(partial(make, lr=0.1) for make in BY_NAME),
     ],
 )
 def test_a_stopped_trial_stays_as_it_was(factory):
@@ -55,7 +70,8 @@ def test_a_stopped_trial_stays_as_it_was(factory):
     move(optimizer, parameter, steps[0])
     move(optimizer, parameter, steps[1])
     before, moments = parameter.detach().clone(), state(optimizer, parameter)
-    assert moments, "the optimiser has state to guard"
+    plain = isinstance(factory, partial) and factory.keywords == {"name": "SGD", "lr": 0.1}
+    assert moments or plain, "the optimiser has state to guard"
     active = torch.tensor([True, False, True, False])
     for gradient in steps[2:]:
         move(optimizer, parameter, gradient * active[:, None, None], active)
@@ -114,7 +130,7 @@ def test_the_first_step_of_adam_is_lr(factory):
 
 
 @pytest.mark.parametrize("shape", [(2, 4), (3, 5), (1, 1), (7,)])
-@pytest.mark.parametrize("factory", LANE_ADAMS)
+@pytest.mark.parametrize("factory", [*LANE_ADAMS, *BY_NAME])
 def test_a_trial_moves_alike_wherever_it_stands(factory, shape):
     largest = 37
     steps = gradients(largest, shape)
@@ -127,7 +143,7 @@ def test_a_trial_moves_alike_wherever_it_stands(factory, shape):
         return parameter.detach()
 
     whole = run(slice(None))
-    for first in range(largest):
+    for first in range(0, largest, 3):
         for size in (1, 2, 3, 5, 8, 13, 21):
             rows = slice(first, first + size)
             assert torch.equal(run(rows), whole[rows]), (first, size)
@@ -149,7 +165,7 @@ def test_several_parameters_and_forgotten_gradients(factory):
 
 
 @pytest.mark.parametrize("lr", [0, -0.1, float("nan"), float("inf"), "fast", True])
-@pytest.mark.parametrize("factory", [adam, *LANE_ADAMS])
+@pytest.mark.parametrize("factory", [adam, *LANE_ADAMS, BY_NAME[0]])
 def test_wrong_learning_rates(factory, lr):
     with pytest.raises(ValueError, match=r"^lr must be a number > 0, got"):
         factory([nn.Parameter(torch.zeros(1))], lr=lr)
@@ -166,18 +182,115 @@ def test_a_gradient_in_any_memory_layout():
     assert torch.equal(plain, other)
 
 
-def test_a_state_dict_goes_on_where_it_was_taken():
+@pytest.mark.parametrize("factory", [*LANE_ADAMS, *BY_NAME])
+def test_a_state_dict_goes_on_where_it_was_taken(factory):
     steps = gradients(3)
     parameter = nn.Parameter(weights(3))
-    optimizer = LaneAdam([parameter])
+    optimizer = factory([parameter], lr=0.05)
     for gradient in steps[:2]:
         move(optimizer, parameter, gradient)
     state = optimizer.state_dict()
     other = nn.Parameter(parameter.detach().clone())
     for gradient in steps[2:]:
         move(optimizer, parameter, gradient)
-    again = LaneAdam([other])
+    again = factory([other], lr=0.05)
     again.load_state_dict(state)
     for gradient in steps[2:]:
         move(again, other, gradient)
     assert torch.equal(parameter, other)
+    assert only_plain(state)
+
+
+def only_plain(value) -> bool:
+    """Whether a state holds nothing but numbers and tensors in nested dicts."""
+    if isinstance(value, dict):
+        return all(isinstance(key, str) and only_plain(entry) for key, entry in value.items())
+    return isinstance(value, int | float | str | torch.Tensor)
+
+
+# Optimisers of torch by name
+
+
+@pytest.mark.parametrize("name", ELEMENTWISE)
+def test_a_trial_by_name_moves_as_under_torch_alone(name):
+    """Three trials, one of which stops, against three optimisers with one trial each."""
+    steps, start = gradients(3, steps=6), weights(3)
+    parameter = nn.Parameter(start.clone())
+    optimizer = torch_optimizer([parameter], name=name, lr=0.02)
+    active = torch.tensor([True, False, True])
+    for i, gradient in enumerate(steps):
+        move(optimizer, parameter, gradient, None if i < 3 else active)
+    for k in range(3):
+        alone = nn.Parameter(start[k].clone())
+        reference = getattr(torch.optim, name)([alone], lr=0.02, foreach=False)
+        for gradient in steps if active[k] else steps[:3]:
+            move(reference, alone, gradient[k])
+        assert torch.equal(parameter[k], alone), k
+
+
+def test_every_optimiser_of_torch_is_served_or_refused_with_a_reason():
+    names = {
+        name
+        for name, kind in vars(torch.optim).items()
+        if isinstance(kind, type) and issubclass(kind, torch.optim.Optimizer)
+    }
+    assert names - {"Optimizer"} == {*ELEMENTWISE, *COUPLING}
+
+
+@pytest.mark.parametrize("name", COUPLING)
+def test_what_couples_trials_is_refused(name):
+    with pytest.raises(ValueError, match=f"^{name} cannot train independent trials: it"):
+        torch_optimizer([nn.Parameter(torch.zeros(2, 1))], name=name)
+
+
+def test_wrong_names_and_options():
+    parameters = [nn.Parameter(torch.zeros(2, 1))]
+    with pytest.raises(ValueError, match=r"^name must be one of ASGD, .*, SGD, got 'sgd'$"):
+        torch_optimizer(parameters, name="sgd")
+    message = "^SGD has the options momentum, dampening, .*, got 'moment'$"
+    for option in ("moment", "foreach", "lr", "differentiable"):
+        with pytest.raises(ValueError, match=message.replace("moment'", f"{option}'")):
+            torch_optimizer(parameters, name="SGD", options={option: 1})
+    with pytest.raises(ValueError, match="Invalid momentum value"):
+        torch_optimizer(parameters, name="SGD", options={"momentum": -1})
+
+
+# Groups of parameters
+
+
+@pytest.mark.parametrize("factory", [*LANE_ADAMS, partial(torch_optimizer, name="RMSprop")])
+def test_groups_have_learning_rates_of_their_own(factory):
+    steps = gradients(3)
+
+    def run(make):
+        policy, critic = nn.Parameter(weights(3)), nn.Parameter(weights(3, (5,)))
+        optimizers = make(policy, critic)
+        for gradient in steps:
+            policy.grad, critic.grad = gradient.clone(), gradient.reshape(3, -1)[:, :5].clone()
+            for optimizer in optimizers:
+                optimizer.step(torch.tensor([True, True, False]))
+        assert [p for o in optimizers for p in o.parameters] == [policy, critic]
+        return policy.detach(), critic.detach()
+
+    together = run(
+        lambda policy, critic: [
+            factory([{"params": [policy]}, {"params": critic, "lr": 0.7}], lr=0.05)
+        ]
+    )
+    apart = run(lambda policy, critic: [factory([policy], lr=0.05), factory([critic], lr=0.7)])
+    assert torch.equal(together[0], apart[0])
+    assert torch.equal(together[1], apart[1])
+
+
+@pytest.mark.parametrize("factory", [*LANE_ADAMS, BY_NAME[0]])
+def test_wrong_groups(factory):
+    group = {"params": [nn.Parameter(torch.zeros(2, 1))], "lr": -1.0}
+    with pytest.raises(ValueError, match=r"^lr must be a number > 0, got -1\.0"):
+        factory([group])
+
+
+def test_a_group_of_the_compiled_adam_has_no_other_options():
+    with pytest.raises(
+        ValueError, match=r"^a group of parameters has 'params' and 'lr', got 'eps'"
+    ):
+        LaneAdam([{"params": [nn.Parameter(torch.zeros(2, 1))], "eps": 1e-3}])

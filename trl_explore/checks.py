@@ -67,6 +67,17 @@ def check_integer(name: str, value: Any, low: int, high: int | None = None) -> i
     return number
 
 
+def check_flag(name: str, value: Any) -> bool:
+    """Return ``value`` if it is true or false.
+
+    Raises:
+        ValueError: otherwise, naming the argument and the value.
+    """
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} must be true or false, got {value!r}")
+    return value
+
+
 def interval(low: float, high: float, low_open: bool, high_open: bool) -> str:
     """The words for a range, such as ``in [0, 1]`` or ``> 0``."""
     if math.isinf(high) and math.isinf(low):

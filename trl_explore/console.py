@@ -27,13 +27,16 @@ class Progress:
         begun: the record at this moment, where a training goes on that was begun before.
     """
 
+    quiet = False
+    """Whether this process is one of several that share a terminal."""
+
     def __init__(
         self, label: str, stream: TextIO = sys.stderr, *, begun: Trials | None = None
     ) -> None:
         self.label, self.stream = label, stream
         self.iterations = 0 if begun is None else begun.iteration
         self.frames = 0 if begun is None else int(begun.frames.sum())
-        self.live = stream.isatty()
+        self.live = stream.isatty() and not Progress.quiet
         self.started = self.shown = time.perf_counter()
 
     def __call__(self, trials: Trials) -> None:

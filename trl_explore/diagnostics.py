@@ -159,24 +159,36 @@ class Diagnostics:
         return dict(zip(COLUMNS, table.T, strict=True))
 
     def state_dict(self) -> dict[str, Any]:
-        """The record, and the cells visited."""
+        """The cells visited; the record is in ``history``."""
         sizes = [len(cells) for cells in self.visited]
         cells = b"".join(cell for cells in self.visited for cell in sorted(cells))
         return {
             "cells": np.frombuffer(cells, dtype=np.int32).copy(),
             "sizes": np.array(sizes, dtype=np.int64),
-            "rows": np.concatenate([np.empty((0, len(COLUMNS)), np.float32), *self._rows]),
-            "counts": np.array([len(rows) for rows in self._rows], dtype=np.int64),
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on where ``state_dict`` was taken."""
         sizes = np.asarray(state["sizes"])
-        cells = np.asarray(state["cells"]).reshape(int(sizes.sum()), -1)
+        cells = np.asarray(state["cells"]).reshape(max(1, int(sizes.sum())), -1)
         parts = np.split(cells, np.cumsum(sizes)[:-1])
-        self.visited = [{row.tobytes() for row in part} for part in parts]
-        counts = np.asarray(state["counts"])
-        self._rows = np.split(np.asarray(state["rows"]), np.cumsum(counts)[:-1])
+        self.visited = [
+            {row.tobytes() for row in part[:size]}
+            for part, size in zip(parts, sizes.tolist(), strict=True)
+        ]
+
+    def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
+        """The record of the iterations after the first ``since``, up to and with ``until``."""
+        part = self._rows[since:until]
+        return {
+            "rows": np.concatenate([np.empty((0, len(COLUMNS)), np.float32), *part]),
+            "counts": np.array([len(rows) for rows in part], dtype=np.int64),
+        }
+
+    def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Append what ``history`` gave."""
+        if len(counts := columns["counts"]):
+            self._rows += np.split(columns["rows"], np.cumsum(counts)[:-1])
 
 
 def _ratios(episodes: Episodes, log_ratio: Tensor) -> dict[str, Tensor]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -76,25 +77,31 @@ class Evaluator:
         }
 
     def state_dict(self) -> dict[str, Any]:
-        """The record, and what the next decision needs."""
-        counts = np.array([len(trial) for _, trial, _ in self._rows], dtype=np.int64)
-        return {
-            "window": self._window.copy(),
-            "filled": self._filled,
-            "counts": counts,
-            **self.rows(),
-        }
+        """What the next decision needs; the record is in ``history``."""
+        return {"window": self._window.copy(), "filled": self._filled}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on where ``state_dict`` was taken."""
         self._window[:] = np.asarray(state["window"])
         self._filled = int(state["filled"])
-        k, low = self.collector.episodes_per_update, 0
-        trial, iteration = np.asarray(state["trial"]), np.asarray(state["iteration"])
-        score = np.asarray(state["score"])
-        self._rows = []
-        for count in np.asarray(state["counts"]).tolist():
-            part = slice(low, low + count * k)
-            columns = score[part].reshape(count, k)
-            self._rows.append((int(iteration[low]), trial[part][::k].copy(), columns.copy()))
-            low += count * k
+
+    def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
+        """The record of the iterations after the first ``since``, up to and with ``until``."""
+        last = math.inf if until is None else until
+        part = [row for row in self._rows[since // self.every :] if since < row[0] <= last]
+        k = self.collector.episodes_per_update
+        return {
+            "iterations": np.array([iteration for iteration, _, _ in part], dtype=np.int64),
+            "counts": np.array([len(trial) for _, trial, _ in part], dtype=np.int64),
+            "trial": np.concatenate([np.empty(0, np.int64), *(trial for _, trial, _ in part)]),
+            "scores": np.concatenate([np.empty((0, k)), *(columns for _, _, columns in part)]),
+        }
+
+    def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Append what ``history`` gave."""
+        cuts = np.cumsum(columns["counts"])[:-1]
+        parts = (columns["iterations"].tolist(), *(
+            np.split(columns[name], cuts) for name in ("trial", "scores")
+        ))  # fmt: skip
+        if len(columns["counts"]):
+            self._rows += list(zip(*parts, strict=True))

@@ -86,7 +86,7 @@ class Saver:
         progress = {"iteration": iteration, "seconds": self.trainer.seconds}
         with self.interrupts.held():
             try:
-                history = self.trainer.trials.history(self.saved, iteration)
+                history = self.trainer.history(self.saved, iteration)
                 self.store.save({**self.header, **progress}, state, history)
                 self.saved = iteration
             except OSError as error:
@@ -108,7 +108,7 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     """
     try:
         for part in checkpoint.history:
-            trainer.trials.load_history(part)
+            trainer.load_history(part)
         trainer.load_state_dict(unpack(checkpoint.state))
     except (KeyError, TypeError, RuntimeError, IndexError, AttributeError) as error:
         text = " ".join(str(error).split())

@@ -19,6 +19,9 @@ TWICE = 0.3
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 
 
+_received: list[Interrupted] = []
+
+
 class Interrupted(KeyboardInterrupt):
     """A signal that ends the program; not an ``Exception``, so that nobody takes it for one."""
 
@@ -38,10 +41,23 @@ def raise_on_signals() -> None:
     """From here on, SIGINT, SIGTERM and SIGHUP raise ``Interrupted`` wherever the program is."""
 
     def handle(signum: int, frame: FrameType | None) -> None:
-        raise Interrupted(signum)
+        _received.append(Interrupted(signum))
+        raise _received[0]
 
     for signum in _served():
         signal.signal(signum, handle)
+
+
+def check() -> None:
+    """End here if a signal has come.
+
+    What it raised may have been lost on the way, or taken for an error of the code it was in.
+
+    Raises:
+        Interrupted: if so.
+    """
+    if _received:
+        raise _received[0] from None
 
 
 def leave_on_signals() -> None:
@@ -114,6 +130,7 @@ class Interrupts:
                 os._exit(self.pending.status)
             return
         self.pending, self._since = Interrupted(signum), time.monotonic()
+        _received.append(self.pending)
         if not self._deferred:
             self.tidy()
             leave(self.pending)
@@ -135,7 +152,7 @@ class Interrupts:
             Interrupted: if so.
         """
         if self.pending is not None:
-            raise self.pending
+            raise self.pending from None
 
     @contextmanager
     def deferred(self) -> Iterator[None]:

@@ -80,12 +80,15 @@ class Trainer:
         self.on_iteration = on_iteration
         self.seconds = 0.0
         """Wall time of the training so far; that before an interruption counts [s]."""
-        self.parts: dict[str, Any] = {
+        parts = {
             "collector": collector,
             "loss": loss,
             "optimizer": optimizer,
             "trials": trials,
+            "evaluator": evaluator,
+            "diagnostics": diagnostics,
         }
+        self.parts: dict[str, Any] = {k: part for k, part in parts.items() if part is not None}
         """Everything with a state, by name: whatever joins the loop is entered here."""
         if evaluator is not None:
             self.parts["evaluator"] = evaluator
@@ -103,15 +106,34 @@ class Trainer:
         return self.trials
 
     def state_dict(self) -> dict[str, Any]:
-        """The state of every part between two iterations; random streams have none."""
+        """The state of every part between two iterations, but for what ``history`` gives.
+
+        Random streams have no state: an episode's numbers follow from its trial and its number.
+        """
         parts = {name: part.state_dict() for name, part in self.parts.items()}
         return {"seconds": self.seconds, "parts": parts}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where ``state_dict`` was taken; the record's history must have been loaded."""
+        """Go on where ``state_dict`` was taken; its history must have been loaded before."""
         for name, part in self.parts.items():
             part.load_state_dict(state["parts"][name])
         self.seconds = float(state["seconds"])
+
+    def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
+        """What the parts have recorded in the iterations after ``since``, up to ``until``."""
+        return {
+            f"{name}.{column}": values
+            for name, part in self.parts.items()
+            if hasattr(part, "history")
+            for column, values in part.history(since, until).items()
+        }
+
+    def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Append what ``history`` gave."""
+        for name, part in self.parts.items():
+            if hasattr(part, "load_history"):
+                own = [column for column in columns if column.startswith(f"{name}.")]
+                part.load_history({c.removeprefix(f"{name}."): columns[c] for c in own})
 
     def _iterate(self, started: float) -> None:
         active = self.trials.active

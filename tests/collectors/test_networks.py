@@ -53,7 +53,7 @@ def test_the_logits_are_those_of_the_module_bit_for_bit(name):
     env = make_env("FrozenLake-v1", trials=7)
     policy = POLICIES[name](env)
     move(policy, torch.Generator().manual_seed(0))
-    network, parameters = network_of(policy)
+    network, parameters = network_of(policy, one_hot=name == "table")
     load, logits = compile_network(network)
 
     @nb.njit

@@ -3,6 +3,10 @@ import pytest
 import torch
 
 from trl_explore.ops import lane_linear
+from trl_explore.ops.linear import plain_lane_linear
+
+BOTH = pytest.mark.parametrize("linear", [lane_linear, plain_lane_linear])
+"""The compiled path and the plain one."""
 
 
 def plain(x, weight, trial):
@@ -37,41 +41,68 @@ def test_gradient_by_hand():
     ]
 
 
-@pytest.mark.parametrize("compiled", [True, False])
+@BOTH
+@pytest.mark.parametrize("n_out", [1, 3, 7, 8, 20])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_both_paths_are_the_formula(compiled, dtype):
-    x, weight, trial = problem(dtype=dtype)
-    expected = plain(x.double(), weight.double(), trial)
-    out = lane_linear(x.requires_grad_(not compiled), weight, trial)
-    assert out.dtype == dtype
-    tolerance = 1e-5 if dtype == torch.float32 else 1e-13
-    torch.testing.assert_close(out.double(), expected, rtol=tolerance, atol=tolerance)
+def test_both_paths_are_the_formula(linear, dtype, n_out):
+    for n_in in (1, 4, 5, 6, 11):
+        x, weight, trial = problem(n_out=n_out, n_in=n_in, dtype=dtype)
+        bias = torch.randn(5, n_out, dtype=dtype)
+        for frames in (trial, trial.sort().values):  # alone, and many of a lane in a row
+            expected = plain(x.double(), weight.double(), frames)
+            out = linear(x, weight, frames)
+            assert out.dtype == dtype
+            tolerance = 1e-5 if dtype == torch.float32 else 1e-13
+            torch.testing.assert_close(out.double(), expected, rtol=tolerance, atol=tolerance)
+            out = linear(x, weight, frames, bias)
+            expected += bias.double()[frames]
+            torch.testing.assert_close(out.double(), expected, rtol=tolerance, atol=tolerance)
 
 
-def test_gradcheck_of_the_compiled_path():
+@BOTH
+@pytest.mark.parametrize("n_out", [3, 9])
+def test_gradcheck(linear, n_out):
+    x, weight, trial = problem(frames=6, trials=3, n_out=n_out)
+    bias = torch.randn(3, n_out, dtype=torch.float64)
+    inputs = (x.requires_grad_(), weight.requires_grad_(), bias.requires_grad_())
+    for frames in (trial, trial.sort().values):
+        assert torch.autograd.gradcheck(
+            lambda x, w, b, frames=frames: linear(x, w, frames, b), inputs
+        )
+        assert torch.autograd.gradcheck(
+            lambda x, w, frames=frames: linear(x, w, frames), inputs[:2]
+        )
+
+
+def test_gradients_that_nobody_asks_for():
+    """Any of the three alone, as where the first layer's input is data."""
     x, weight, trial = problem(frames=6, trials=3)
-    assert torch.autograd.gradcheck(lambda w: lane_linear(x, w, trial), weight[:3].requires_grad_())
-
-
-def test_gradcheck_of_the_plain_path():
-    x, weight, trial = problem(frames=6, trials=3)
-    assert torch.autograd.gradcheck(
-        lambda x, w: lane_linear(x, w, trial), (x.requires_grad_(), weight[:3].requires_grad_())
-    )
+    bias = torch.randn(3, 3, dtype=torch.float64)
+    for asked in range(3):
+        inputs = [x.clone(), weight.clone(), bias.clone()]
+        inputs[asked].requires_grad_()
+        lane_linear(inputs[0], inputs[1], trial, inputs[2]).sum().backward()
+        expected = [value.clone() for value in inputs]
+        expected[asked] = inputs[asked].detach().clone().requires_grad_()
+        plain_lane_linear(expected[0], expected[1], trial, expected[2]).sum().backward()
+        torch.testing.assert_close(inputs[asked].grad, expected[asked].grad)
+        assert sum(value.grad is not None for value in inputs) == 1
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_gradients_of_both_paths_agree(dtype):
-    x, weight, trial = problem(frames=300, dtype=dtype)
-    upstream = torch.randn(300, 3, dtype=dtype)
+    x, weight, trial = problem(frames=300, n_out=9, dtype=dtype)
+    bias = torch.randn(5, 9, dtype=dtype)
+    upstream = torch.randn(300, 9, dtype=dtype)
     gradients = []
-    for compiled in (True, False):
-        w = weight.clone().requires_grad_()
-        lane_linear(x.clone().requires_grad_(not compiled), w, trial).backward(upstream)
-        gradients.append(w.grad)
-    assert gradients[0].dtype == dtype
+    for linear in (lane_linear, plain_lane_linear):
+        inputs = [value.clone().requires_grad_() for value in (x, weight, bias)]
+        linear(inputs[0], inputs[1], trial, inputs[2]).backward(upstream)
+        gradients.append([value.grad for value in inputs])
+    assert gradients[0][0].dtype == dtype
     tolerance = 1e-4 if dtype == torch.float32 else 1e-12
-    torch.testing.assert_close(*gradients, rtol=tolerance, atol=tolerance)
+    for ours, theirs in zip(*gradients, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=tolerance, atol=tolerance)
 
 
 def test_a_gradient_in_float32_is_summed_in_float64():
@@ -93,10 +124,10 @@ def test_other_dtypes_take_the_plain_path(dtype):
 
 
 @pytest.mark.parametrize("batch", [(), (1,), (6,), (2, 3), (2, 1, 3), (0,), (0, 3)])
-@pytest.mark.parametrize("compiled", [True, False])
-def test_batch_shapes(batch, compiled):
+@BOTH
+def test_batch_shapes(batch, linear):
     x, weight, trial = torch.randn(*batch, 4), torch.randn(5, 3, 4), torch.randint(5, batch)
-    out = lane_linear(x.requires_grad_(not compiled), weight.requires_grad_(), trial)
+    out = linear(x.requires_grad_(), weight.requires_grad_(), trial)
     assert out.shape == (*batch, 3)
     expected = torch.einsum("foi,fi->fo", weight[trial.reshape(-1)], x.reshape(-1, 4))
     torch.testing.assert_close(out.reshape(-1, 3), expected)
@@ -119,41 +150,67 @@ def test_layout_in_memory_does_not_matter():
     assert torch.equal(results[0][1], results[1][1])
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_a_lane_does_not_depend_on_its_neighbours(compiled):
-    x, weight, trial = problem(frames=400, trials=30, dtype=torch.float32)
-    upstream = torch.randn(400, 3)
+@BOTH
+@pytest.mark.parametrize("n_out", [3, 16])
+def test_a_lane_does_not_depend_on_its_neighbours(linear, n_out):
+    x, weight, trial = problem(frames=400, trials=30, n_out=n_out, dtype=torch.float32)
+    upstream, bias = torch.randn(400, n_out), torch.randn(30, n_out)
 
-    def run(rows, weight, trial):
-        w = weight.clone().requires_grad_()
-        out = lane_linear(x[rows].requires_grad_(not compiled), w, trial)
+    def run(rows, weight, bias, trial):
+        inputs = [value.clone().requires_grad_() for value in (x[rows], weight, bias)]
+        out = linear(inputs[0], inputs[1], trial, inputs[2])
         out.backward(upstream[rows])
-        return out.detach(), w.grad
+        return out.detach(), [value.grad for value in inputs]
 
-    together, gradient = run(slice(None), weight, trial)
+    together, (to_x, *gradients) = run(slice(None), weight, bias, trial)
     for lane in range(30):
         rows = trial == lane
-        alone, own = run(rows, weight[[lane]], torch.zeros(int(rows.sum()), dtype=torch.int64))
+        frames = torch.zeros(int(rows.sum()), dtype=torch.int64)
+        alone, (own_x, *own) = run(rows, weight[[lane]], bias[[lane]], frames)
         assert torch.equal(alone, together[rows])
-        assert torch.equal(own[0], gradient[lane])
+        assert torch.equal(own_x, to_x[rows])
+        for gradient, one in zip(gradients, own, strict=True):
+            assert torch.equal(one[0], gradient[lane])
+
+
+@pytest.mark.parametrize("n_out", [3, 16])
+def test_threads_change_nothing(n_out, monkeypatch):
+    monkeypatch.setattr("trl_explore.threads.MIN_FRAMES", 10)
+    x, weight, trial = problem(frames=400, trials=30, n_out=n_out, dtype=torch.float32)
+    trial, bias, results = trial.sort().values, torch.randn(30, n_out), []
+    for threads in (1, 3):
+        monkeypatch.setattr("trl_explore.threads._threads", threads)
+        inputs = [value.clone().requires_grad_() for value in (x, weight, bias)]
+        out = lane_linear(inputs[0], inputs[1], trial, inputs[2])
+        out.square().sum().backward()
+        results.append([out.detach(), *(value.grad for value in inputs)])
+    for one, three in zip(*results, strict=True):
+        assert torch.equal(one, three)
 
 
 # Compiled code that does not look reads, and on the way back writes, beside the arrays. Here they
 # are parts of larger ones, so that such code fails these tests and not the process.
 
 
-@pytest.mark.parametrize("compiled", [True, False])
+@BOTH
 @pytest.mark.parametrize("trial", [-1, 2])
-def test_a_trial_that_does_not_exist(trial, compiled):
+def test_a_trial_that_does_not_exist(trial, linear):
     x, weight = torch.ones(3, 4), torch.ones(9, 3, 4)[3:5]
     with pytest.raises(IndexError):
-        lane_linear(x.requires_grad_(not compiled), weight, torch.tensor([0, trial, 1]))
+        linear(x, weight, torch.tensor([0, trial, 1]))
 
 
-@pytest.mark.parametrize("compiled", [True, False])
+@BOTH
 @pytest.mark.parametrize(("features", "trials"), [(3, 3), (5, 3), (4, 2)])
-def test_shapes_that_do_not_fit(features, trials, compiled):
+def test_shapes_that_do_not_fit(features, trials, linear):
     x, weight = torch.ones(9, features)[:3], torch.ones(2, 3, 4)
     trial = torch.zeros(9, dtype=torch.int64)[:trials]
     with pytest.raises((ValueError, RuntimeError, IndexError)):
-        lane_linear(x.requires_grad_(not compiled), weight, trial)
+        linear(x, weight, trial)
+
+
+def test_a_bias_that_does_not_fit():
+    x, weight, trial = problem()
+    for shape in ((5, 2), (4, 3), (5,)):
+        with pytest.raises(ValueError, match=r"^the bias is \[.*\], but the weights are \[5, 3, 4"):
+            lane_linear(x, weight, trial, torch.zeros(shape, dtype=torch.float64))

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from trl_explore.ops import lane_sum, linear_softmax_score
+from trl_explore.ops import lane_sum, linear_softmax_score, score
 
 
 def plain(observation, weight, action, advantage, trial):
@@ -153,6 +153,39 @@ def test_the_number_of_threads_does_not_matter(n_actions, in_order, threads, mon
     given[2][-1] = 99
     with pytest.raises(IndexError, match="an action is not in"):
         linear_softmax_score(*given)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("sparse", [True, False])
+def test_passing_over_zeros_changes_no_bit(sparse, dtype, monkeypatch):
+    given = list(problem(frames=600, n_actions=4, n_features=16, dtype=dtype))
+    if sparse:
+        state = torch.randint(16, (600,), generator=torch.Generator().manual_seed(1))
+        given[0] = torch.nn.functional.one_hot(state, 16).to(dtype)
+    results = []
+    for kernel in (score._score, score._score_sparse):
+        monkeypatch.setattr(score, "_kernel", lambda *_, kernel=kernel: kernel)
+        results.append(value_and_gradient(linear_softmax_score, *given))
+    for dense, passed_over in zip(*results, strict=True):
+        assert dense.abs().min() > 0
+        assert torch.equal(dense, passed_over)
+
+
+def test_which_kernel_serves():
+    one_hot, dense = torch.eye(16).numpy(), torch.ones(3, 16).numpy()
+    assert score._kernel((5, 4, 16), one_hot) is score._score_sparse
+    assert score._kernel((5, 4, 16), dense) is score._score
+    assert score._kernel((5, 4, 4), one_hot[:, :4]) is score._score
+    assert score._kernel((5, 4, 16), dense[:0]) is score._score
+
+
+@pytest.mark.parametrize(("action", "trial"), [(-1, 0), (9, 0), (0, -1), (0, 4)])
+def test_out_of_range_beside_zeros(action, trial):
+    observation, actions = torch.eye(16), torch.zeros(16, dtype=torch.int64)
+    trials = torch.arange(16) // 4
+    actions[7], trials[7] = action, trial
+    with pytest.raises(IndexError, match="an action is not in"):
+        linear_softmax_score(observation, torch.ones(4, 3, 16), actions, torch.ones(16), trials)
 
 
 def test_no_frames():

@@ -29,3 +29,31 @@ def test_evidence_reads_with_signs_and_names():
     text = "decaying_epsilon_greedy minus epsilon_greedy -282.5 iterations, p = 1e-04 (4-5)"
     expected = "decaying ε-greedy minus ε-greedy −282.5 iterations, p = 1e-04 (4-5)"
     assert readable(text) == expected
+
+
+def test_schedules_are_named_with_their_parameter(make):
+    def job(**schedule):
+        target = f"trl_explore.schedules.{schedule.pop('kind', 'Linear')}"
+        return make(
+            [200], name=str(schedule), parameters={"temperature": {"_target_": target, **schedule}}
+        )
+
+    jobs = [job(initial=value, final=0.5) for value in (2.0, 5.0)]
+    assert list(configuration_labels(jobs).values()) == ["initial T = 2", "initial T = 5"]
+    assert swept_parameter(jobs) == "initial T"
+    jobs = [job(kind="Linear", initial=2.0), job(kind="Cosine", initial=2.0, final=1.0)]
+    labels = list(configuration_labels(jobs).values())
+    assert [label.split(",")[0] for label in labels] == ["T = Linear", "T = Cosine"]
+
+
+def test_every_strategy_of_the_configuration_has_a_label_and_a_look():
+    from trl_explore.config import CONF
+    from trl_explore.report.labels import STRATEGIES, strategy_label
+    from trl_explore.report.style import KNOWN, styles
+
+    assert set(STRATEGIES) == set(KNOWN)
+    names = sorted(path.stem for path in (CONF / "strategy").glob("*.yaml"))
+    assert set(KNOWN) <= set(names)
+    assert len({strategy_label(name) for name in names}) == len(names)
+    looks = styles(names)
+    assert len({(look.marker, look.line) for look in looks}) == len(names)

@@ -1,6 +1,6 @@
 from itertools import combinations
 
-from trl_explore.report.style import KNOWN, PAPER, styles
+from trl_explore.report.style import FURTHER, KNOWN, PAPER, styles
 from trl_explore.report.theme import DARK_PAPER, contrast, dark_variant
 
 
@@ -11,10 +11,16 @@ def test_a_strategy_looks_the_same_beside_whatever_others():
 
 
 def test_twelve_strategies_are_told_apart_without_colour():
-    names = [*KNOWN, *(f"other{k}" for k in range(7))]
-    looks = styles(names)
-    assert len({(s.marker, s.line) for s in looks}) == 12
-    assert len({s.color for s in looks}) == 12
+    for known in (list(KNOWN)[:5], list(KNOWN)[-5:]):
+        looks = styles([*known, *(f"other{k}" for k in range(7))])
+        assert len({(s.marker, s.line) for s in looks}) == 12
+        assert len({s.color for s in looks}) == 12
+
+
+def test_all_known_strategies_and_seven_others_are_told_apart():
+    looks = styles([*KNOWN, *(f"other{k}" for k in range(7))])
+    assert looks[: len(KNOWN)] == list(KNOWN.values())
+    assert len({(s.marker, s.line) for s in looks}) == len({s.color for s in looks}) == len(looks)
 
 
 def test_twelve_values_of_one_strategy_are_told_apart_without_colour():
@@ -29,7 +35,7 @@ def test_four_values_each_of_three_strategies_are_told_apart_without_colour():
 
 
 def test_colours_stand_out_from_light_and_dark_paper():
-    for style in KNOWN.values():
+    for style in (*KNOWN.values(), *FURTHER):
         assert contrast(style.color, PAPER) >= 3.0
         assert contrast(dark_variant(style.color), DARK_PAPER) >= 3.9
 

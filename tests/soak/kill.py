@@ -17,6 +17,7 @@ import argparse
 import contextlib
 import os
 import random
+import re
 import runpy
 import shutil
 import signal
@@ -41,16 +42,23 @@ SWEEPS = {
         "optimizer=torch_adam", "checkpoint_seconds=0",
     ],
     "torchrl": [
-        "trials=3", "max_iterations=12", "strategy=softmax,decaying_epsilon_greedy",
-        "collector=torchrl", "checkpoint_seconds=0.1",
+        "trials=3", "max_iterations=12", "strategy=epsilon_z_greedy,parameter_noise",
+        "collector=torchrl", "baseline=step_mean", "checkpoint_seconds=0.1",
+    ],
+    "learning beside": [
+        "trials=6", "max_iterations=40", "strategy=vdbe,count_bonus", "baseline=episode_mean",
+        "evaluate_every=3", "diagnostics=true", "checkpoint_seconds=0",
     ],
     "another environment": [
-        "trials=4", "max_iterations=20", "strategy=softmax", "env=gym", "env.id=FrozenLake-v1",
+        "trials=20", "max_iterations=40", "strategy=softmax", "env=gym", "env.id=FrozenLake-v1",
         "score_threshold=0.9", "checkpoint_seconds=0",
     ],
 }  # fmt: skip
 SIGNALS = [signal.SIGKILL] * 3 + [signal.SIGTERM, signal.SIGINT]
+LEFT = re.compile(r"/checkpoint/|/\.lock$")
 CLEAN = {signal.SIGTERM: 143, signal.SIGINT: 130}
+BIRTH = 0.3
+"""Seconds after which a process serves signals itself; before, they end it as they end any."""
 PROMPT = 3.0
 """Seconds within which a process that is asked to end must have ended, on a busy machine."""
 
@@ -154,7 +162,7 @@ def difference(files: dict[str, bytes], expected: dict[str, bytes]) -> str | Non
     return None
 
 
-class FailureError(Exception):
+class BrokenPromiseError(Exception):
     """A promise that was not kept."""
 
 
@@ -163,29 +171,27 @@ def check_after(ended: Ended, signum: int, before: set[str], folder: Path, expec
     files = contents(folder) if folder.exists() else {}
     done = finished(files)
     if lost := before - done:
-        raise FailureError(f"{sorted(lost)} had been finished")
+        raise BrokenPromiseError(f"{sorted(lost)} had been finished")
     for job in done:
         mine, theirs = (
             {n: data for n, data in all_files.items() if n.startswith(f"{job}/")}
             for all_files in (files, expected)
         )
         # What a kill in a job's last moment left beside its files goes with the next run.
-        mine = {
-            n: d
-            for n, d in mine.items()
-            if n in theirs or ("/checkpoint/" not in n and "/.lock" not in n)
-        }
+        mine = {n: d for n, d in mine.items() if n in theirs or not LEFT.search(n)}
         if found := difference(mine, theirs):
-            raise FailureError(f"a finished job is not what it should be: {found}")
+            raise BrokenPromiseError(f"a finished job is not what it should be: {found}")
     if "Traceback" in ended.stderr:
-        raise FailureError(f"a traceback:\n{ended.stderr}")
+        raise BrokenPromiseError(f"a traceback:\n{ended.stderr}")
     if signum in CLEAN:
         if ended.status not in (0, CLEAN[signum]):
-            raise FailureError(f"status {ended.status} after {signal.Signals(signum).name}")
+            raise BrokenPromiseError(f"status {ended.status} after {signal.Signals(signum).name}")
         if ended.status and "the same command goes on" not in ended.stderr:
-            raise FailureError(f"no word on how to go on: {ended.stderr!r}")
+            raise BrokenPromiseError(f"no word on how to go on: {ended.stderr!r}")
         if ended.status and ended.seconds > PROMPT:
-            raise FailureError(f"{ended.seconds:.1f} s to end after {signal.Signals(signum).name}")
+            raise BrokenPromiseError(
+                f"{ended.seconds:.1f} s to end after {signal.Signals(signum).name}"
+            )
     return done
 
 
@@ -200,15 +206,18 @@ def one_round(
     done: set[str] = set()
     while True:
         signum = rng.choice(SIGNALS)
-        ended = run(arguments, place, signum, rng.uniform(0, 1.2 * seconds))
+        after = rng.uniform(0, 1.2 * seconds)
+        ended = run(arguments, place, signum, after)
         if ended.status == 0:
             break
         if ended.status not in (-signum, CLEAN.get(signum)):
-            raise FailureError(f"status {ended.status}: {ended.stderr}")
+            raise BrokenPromiseError(f"status {ended.status}: {ended.stderr}")
         counts[signal.Signals(signum).name] += 1
+        if ended.status == -signum and after < BIRTH:
+            signum = signal.SIGKILL  # nobody was there yet to see it
         done = check_after(ended, signum, done, folder, expected)
     if found := difference(contents(folder), expected):
-        raise FailureError(found)
+        raise BrokenPromiseError(found)
     return counts
 
 
@@ -220,7 +229,7 @@ def soak(kills: int, seed: int, place: Path) -> Counter[str]:
         folder.mkdir(parents=True)
         ended = run([*COMMON, *sweep], folder)
         if ended.status:
-            raise FailureError(f"without a signal, {name}: {ended.stderr}")
+            raise BrokenPromiseError(f"without a signal, {name}: {ended.stderr}")
         references[name] = contents(folder / "outputs"), ended.seconds
     total: Counter[str] = Counter()
     number = 0
@@ -230,10 +239,11 @@ def soak(kills: int, seed: int, place: Path) -> Counter[str]:
             number += 1
             try:
                 counts = one_round(name, expected, seconds, place / "round", rng)
-            except FailureError as failure:
-                raise FailureError(f"round {number} ({name}), seed {seed}: {failure}") from None
+            except BrokenPromiseError as failure:
+                raise BrokenPromiseError(
+                    f"round {number} ({name}), seed {seed}: {failure}"
+                ) from None
             total += counts
-            total["rounds"] += 0
     print(
         f"{total.total()} kills in {number} sweeps "
         f"({', '.join(f'{n} {s}' for s, n in sorted(total.items()) if n)}): every file the same"
@@ -278,7 +288,7 @@ def main() -> int:
     try:
         warm_up(place / "warm")
         soak(arguments.kills, arguments.seed, place)
-    except FailureError as failure:
+    except BrokenPromiseError as failure:
         print(f"FAILED: {failure}\nfolders: {place}", file=sys.stderr)
         return 1
     if not arguments.keep:

@@ -7,11 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict.nn import TensorDictModuleBase
 
-from trl_explore.schedules import Constant, Exponential, Linear
+from trl_explore.schedules import Constant, Exponential, Linear, Piecewise
 from trl_explore.strategies import (
     Argmax,
     DecayingEpsilonGreedy,
     EpsilonGreedy,
+    EpsilonSoftmax,
+    FullMixture,
+    MaxBoltzmann,
     Mixture,
     Random,
     Softmax,
@@ -75,6 +78,86 @@ def test_mixture_of_all_three_corners():
     close(mixture_probs(logits, mixture), [0.3 / 4 + 0.1, 0.5 + 0.9 / 4 + 0.1])
     masked = torch.tensor([0.0, NEVER, 2 * math.log(3)])
     close(mixture_probs(masked, mixture), [0.3 / 4 + 0.1, 0, 0.5 + 0.9 / 4 + 0.1])
+
+
+def test_max_boltzmann():
+    logits = torch.tensor([0.0, math.log(3), -math.inf])
+    close(MaxBoltzmann(0.4).probs(logits), [0.1, 0.9, 0])
+    close(MaxBoltzmann(0.4, temperature=0.5).probs(logits), [0.04, 0.96, 0])
+    close(MaxBoltzmann(0.4, temperature=1e30).probs(logits), [0.2, 0.8, 0])  # ε-greedy
+    assert MaxBoltzmann(1.0).mixture() == Softmax().mixture()
+
+
+def test_epsilon_softmax():
+    logits = torch.tensor([0.0, math.log(3), -math.inf])
+    close(EpsilonSoftmax(0.2).probs(logits), [0.3, 0.7, 0])
+    close(EpsilonSoftmax(0.2, temperature=0.5).probs(logits), [0.18, 0.82, 0])
+    assert EpsilonSoftmax(0.0).mixture() == Softmax().mixture()
+
+
+@pytest.mark.parametrize("epsilon", [0.05, 0.3, 0.9])
+def test_the_ratio_to_epsilon_softmax_is_bounded(epsilon):
+    logits = torch.randn(100, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    ratio = Softmax().probs(logits) / EpsilonSoftmax(epsilon).probs(logits)
+    assert (ratio <= 1 / (1 - epsilon) + 1e-12).all()
+
+
+def test_full_mixture_divides_by_the_sum_of_the_weights():
+    logits = torch.tensor([0.0, 2 * math.log(3)])
+    expected = [0.3 / 4 + 0.1, 0.5 + 0.9 / 4 + 0.1]
+    close(FullMixture(0.5, 0.3, 0.2, temperature=2.0).probs(logits), expected)
+    close(FullMixture(5, 3, 2, temperature=2.0).probs(logits), expected)
+    assert FullMixture(0.75, 0, 0.25).mixture() == EpsilonGreedy(0.25).mixture()
+
+
+def test_weights_follow_schedules_and_sum_to_one_in_every_iteration():
+    strategy = FullMixture(
+        Linear(0.0, 1.0, 10), Exponential(2.0, 0.5), Piecewise([(0, 1.0), (3, 0.0)]), [1.0, 2.0]
+    )
+    shares = []
+    for _ in range(30):
+        greedy, softmax, uniform, _ = strategy.mixture()
+        shares.append((greedy, softmax, uniform))
+        strategy.step()
+    np.testing.assert_allclose(np.sum(shares, axis=1), 1, rtol=1e-15)
+    np.testing.assert_allclose(shares[0], [0, 2 / 3, 1 / 3])
+    np.testing.assert_allclose(shares[3], np.array([0.3, 0.25, 0]) / 0.55)
+
+
+def test_weights_per_trial():
+    strategy = FullMixture(greedy=[1.0, 0.0], softmax=0.0, uniform=[1.0, 4.0])
+    probs = strategy.probs(torch.tensor([[0.0, 1.0]] * 2), torch.tensor([1, 0]))
+    close(probs, [[0.5, 0.5], [0.25, 0.75]])
+    with pytest.raises(ValueError, match=r"the weights have \[2, 3\] values for trials"):
+        FullMixture(greedy=[1.0, 0.0], softmax=0.0, uniform=[1.0, 4.0, 1.0])
+
+
+@pytest.mark.parametrize("weights", [(0, 0, 0), ([1.0, 0.0], 0, 0)])
+def test_weights_that_are_all_zero(weights):
+    with pytest.raises(ValueError, match=r"greedy \+ softmax \+ uniform must be a positive number"):
+        FullMixture(*weights)
+
+
+def test_weights_that_become_zero():
+    strategy = FullMixture(greedy=0.0, softmax=Linear(1.0, 0.0, 2), uniform=0.0)
+    strategy.step()
+    assert strategy.mixture().softmax == 1
+    strategy.step()
+    with pytest.raises(ValueError, match=r"got 0\.0 in iteration 2"):
+        strategy.mixture()
+
+
+@pytest.mark.parametrize("name", ["greedy", "softmax", "uniform"])
+def test_weights_out_of_range(name):
+    for value in (-0.1, math.nan, Linear(1.0, -0.1, 5)):
+        with pytest.raises(ValueError, match=f"^{name} must be a number >= 0"):
+            FullMixture(**{name: value})
+
+
+def test_which_mixtures_are_differentiable_in_the_logits():
+    smooth = [Softmax(2.0), Random(), EpsilonSoftmax(0.3), FullMixture(greedy=0.0)]
+    rough = [Argmax(), EpsilonGreedy(0.3), MaxBoltzmann(0.3), FullMixture()]
+    assert [s.differentiable for s in (*smooth, *rough)] == [True] * 4 + [False] * 4
 
 
 def test_a_forbidden_action_leaves_its_share_to_the_others():

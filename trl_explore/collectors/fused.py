@@ -29,6 +29,7 @@ from trl_explore.collectors.loop import compile_loop, scratch
 from trl_explore.collectors.networks import Network, arrays, network_of
 from trl_explore.envs import lane_env
 from trl_explore.kernels import Kernel, kernel_of
+from trl_explore.policies.base import is_one_hot
 from trl_explore.strategies import BaseStrategy, MixtureStrategy, Strategy
 from trl_explore.streams import Stream, key
 from trl_explore.threads import pool
@@ -220,7 +221,7 @@ def compilable(
     for transform in cast(Iterable[Transform], env.transform or ()):
         if type(transform) not in TRANSFORMS:
             raise NotCompilableError(f"the transform {type(transform).__name__} is not known to it")
-    served = network_of(policy[0]) if len(policy) == 2 else None
+    served = network_of(policy[0], one_hot=is_one_hot(env)) if len(policy) == 2 else None
     if served is None:
         raise NotCompilableError(f"the policy {_names(policy)} is not known to it")
     check_strategy(policy[1])

@@ -59,11 +59,18 @@ def _room(n: int, n_in: int, n_out: int, bias: bool) -> Any:
     return np.empty((n, *(columns if n_out >= WIDE else columns[::-1])), dtype=np.float32)
 
 
-def network_of(policy: TensorDictModuleBase) -> tuple[Network, list[nn.Parameter]] | None:
-    """What the loop must know of a policy, and its parameters; None if it cannot serve it."""
+def network_of(
+    policy: TensorDictModuleBase, *, one_hot: bool = False
+) -> tuple[Network, list[nn.Parameter]] | None:
+    """What the loop must know of a policy, and its parameters; None if it cannot serve it.
+
+    Args:
+        policy: the policy.
+        one_hot: whether observations are one-hot: W x is then a column of W.
+    """
     module = cast(Any, getattr(policy, "module", None))
     if type(policy) in (LinearPolicy, TabularPolicy) and type(module) is LaneLinear:
-        kind = "table" if type(policy) is TabularPolicy else "linear"
+        kind = "table" if one_hot else "linear"
         weight = cast(nn.Parameter, module.weight)
         n_out, n_in = weight.shape[1:]
         return Network(kind, (n_in, n_out)), [weight]

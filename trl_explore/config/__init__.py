@@ -16,21 +16,26 @@ from trl_explore.config.building import (
 )
 from trl_explore.config.checking import check_keys, describe, differences, resolved
 from trl_explore.config.naming import job_name, register_resolvers
+from trl_explore.config.sweeping import Ended, collecting, end_job, is_worker
 
 __all__ = [
     "CONF",
     "GROUPS",
     "INERT",
     "ConfigError",
+    "Ended",
     "build_trainer",
     "check_keys",
+    "collecting",
     "current_choices",
     "current_folder",
     "describe",
     "differences",
+    "end_job",
     "fill_threshold",
     "first_line",
     "is_multirun",
+    "is_worker",
     "job_name",
     "register_resolvers",
     "resolved",

@@ -67,10 +67,12 @@ def build_trainer(config: DictConfig) -> Trainer:
     from tensordict.nn import TensorDictSequential
 
     from trl_explore.actor import actor_of
+    from trl_explore.compiled import lock_cache
     from trl_explore.diagnostics import Diagnostics
     from trl_explore.trainer import Trainer
     from trl_explore.trials import Trials
 
+    lock_cache()
     fill_threshold(config)
     for key, (low, high) in INTEGERS.items():
         _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))

@@ -118,11 +118,16 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = ""
 
 def describe(error: BaseException) -> str:
     """An error of Hydra, OmegaConf or the file system as one line."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    text = re.sub(r"^\w+ raised while resolving interpolation: |\n\s*full_key: .*", "", str(error),
+                  flags=re.S)  # fmt: skip
+    if text.startswith("Error merging override") and error.__cause__ is not None:
+        text += f": {first_line(error.__cause__)}"
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
     unknown = re.match(r"Could not override '([^']+)'", str(error))
     if isinstance(error, MissingConfigException):
         group, options = error.missing_cfg_file or "", error.options or []
-        return f"there is no {group.replace('/', '=')}; available: {', '.join(options)}"
+        name, _, option = group.rpartition("/")
+        return f"there is no {name}={option}; available: {', '.join(options)}"
     if unknown and unknown[1]:
         return f"unknown key '{unknown[1]}'; --help lists the keys of this configuration"
     if "Config group override must be" in str(error):

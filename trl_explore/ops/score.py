@@ -12,13 +12,18 @@ from typing import Any
 import numba as nb
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from trl_explore.kernels.base import kernel_function
 from trl_explore.kernels.borrow import borrow
 from trl_explore.ops.linear import lane_linear
 from trl_explore.ops.log_prob import categorical_log_prob
 from trl_explore.threads import by_trial, check_frames, fits
+
+WIDE, SPARSE = 8, 2
+"""From so many features on, of which no more than so many are not 0, zeros are passed over."""
 
 
 def lane_sum(values: Tensor, trial: Tensor, trials: int) -> Tensor:
@@ -97,8 +102,7 @@ class _LinearSoftmaxScore(torch.autograd.Function):
             advantage.contiguous().numpy(),
             trial.contiguous().numpy(),
         )
-        kernel = _score_two(w.shape[2]) if w.shape[1] == 2 else _score
-        valid = by_trial(kernel, frames, (w, total, gradient))
+        valid = by_trial(_kernel(w.shape, frames[0]), frames, (w, total, gradient))
         if not valid:
             raise IndexError(
                 f"an action is not in [0, {w.shape[1]}) or a trial not in [0, {len(w)})"
@@ -110,6 +114,71 @@ class _LinearSoftmaxScore(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[None, Tensor, None, None, None]:
         return None, grad.reshape(-1, 1, 1) * ctx.gradient, None, None, None
+
+
+def _kernel(shape: tuple[int, ...], observation: NDArray[Any]) -> Callable[..., bool]:
+    """The fastest kernel; which of the last two, chosen by the data, changes no bit."""
+    if shape[1] == 2:
+        return _score_two(shape[2])
+    one_hot = shape[2] >= WIDE and len(observation) and np.count_nonzero(observation[0]) <= SPARSE
+    return _score_sparse if one_hot else _score
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _score_sparse(observation, action, advantage, trial, weight, total, gradient):
+    """``_score`` without the features that are 0: a one-hot state has one that is not."""
+    trials, n_actions, n_features = weight.shape
+    probs = np.empty(n_actions, dtype=weight.dtype)
+    present = np.empty(n_features, dtype=np.int64)
+    observation, weight, gradient = borrow(observation), borrow(weight), borrow(gradient)
+    zero = np.zeros(1, dtype=weight.dtype)[0]
+    for i in range(len(action)):
+        lane, chosen, factor = trial[i], action[i], np.float64(advantage[i])
+        if not (0 <= lane < trials and 0 <= chosen < n_actions):
+            return False
+        count = _find(observation[i], present)
+        for a in range(n_actions):
+            logit = zero
+            for k in present[:count]:
+                logit += weight[lane, a, k] * observation[i, k]
+            probs[a] = logit
+        log_prob, normaliser = _exponentials(probs, chosen, zero)
+        total[lane] += factor * log_prob
+        for a in range(n_actions):
+            share = factor * (np.float64(a == chosen) - np.float64(probs[a] / normaliser))
+            for k in present[:count]:
+                gradient[lane, a, k] += share * observation[i, k]
+    return True
+
+
+@kernel_function
+def _find(x, present):
+    """Write the places of what is not 0, and count them; fast where there is one."""
+    count = place = np.int32(0)
+    for k in range(len(x)):
+        hit = np.int32(x[k] != 0)
+        count += hit
+        place += hit * np.int32(k)
+    present[0] = place
+    if count > 1:
+        count = np.int32(0)
+        for k in range(len(x)):
+            if x[k] != 0:
+                present[count] = k
+                count += np.int32(1)
+    return count
+
+
+@kernel_function
+def _exponentials(probs, chosen, zero):
+    """Logits become e^(logit − the largest), in place; returns log π(chosen) and their sum."""
+    largest = probs.max()
+    log_prob = probs[chosen] - largest
+    normaliser = zero
+    for a in range(len(probs)):
+        probs[a] = np.exp(probs[a] - largest)
+        normaliser += probs[a]
+    return log_prob - np.log(normaliser), normaliser
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -134,13 +203,8 @@ def _score(observation, action, advantage, trial, weight, total, gradient):
                 for k in range(1, n_features):
                     logit += weight[lane, a, k] * observation[i, k]
                 probs[a] = logit
-            largest = probs.max()
-            log_prob = probs[chosen] - largest
-            normaliser = zero
-            for a in range(n_actions):
-                probs[a] = np.exp(probs[a] - largest)
-                normaliser += probs[a]
-            value += factor * (log_prob - np.log(normaliser))
+            log_prob, normaliser = _exponentials(probs, chosen, zero)
+            value += factor * log_prob
             for a in range(n_actions):
                 share = factor * (np.float64(a == chosen) - np.float64(probs[a] / normaliser))
                 for k in range(n_features):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gymnasium as gym
 from torchrl.data import Bounded, Categorical, Unbounded
 from torchrl.envs import EnvBase
+
+from trl_explore.envs import lane_env
 
 
 def n_actions(env: EnvBase) -> int:
@@ -33,3 +36,18 @@ def n_dims(env: EnvBase) -> int:
 def n_features(env: EnvBase) -> int:
     """The length of an observation."""
     return env.observation_spec["observation"].shape[-1]
+
+
+def observation_space(env: EnvBase) -> gym.Space:
+    """The observation space of an environment of ``make_env``, before that made a vector of it."""
+    lane = lane_env(env).envs[0]
+    if isinstance(lane, gym.wrappers.DtypeObservation):
+        lane = lane.env
+    if isinstance(lane, gym.wrappers.FlattenObservation):
+        lane = lane.env
+    return lane.observation_space
+
+
+def is_one_hot(env: EnvBase) -> bool:
+    """Whether the observations are one-hot states."""
+    return isinstance(observation_space(env), gym.spaces.Discrete)

@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.envs import EnvBase
 
-from trl_explore.checks import check_number
+from trl_explore.checks import check_flag, check_number
 from trl_explore.ops import lane_linear
 from trl_explore.policies.base import n_dims, n_features
 from trl_explore.policies.lanes import LaneLinear, LaneMLP
@@ -124,12 +124,12 @@ class GaussianMLPPolicy(TensorDictModule):
             init,
             seed,
             first_trial,
-            bias=bias,
+            bias=check_flag("bias", bias),
             output_gain=output_gain,
         )
-        module = LaneGaussian(
-            network, _log_scale(initial_scale, dims), state_dependent=state_dependent_scale
-        )
+        dependent = check_flag("state_dependent_scale", state_dependent_scale)
+        first = _log_scale(initial_scale, dims)
+        module = LaneGaussian(network, first, state_dependent=dependent)
         super().__init__(module, in_keys=["observation", "trial"], out_keys=["loc", "scale"])
 
 

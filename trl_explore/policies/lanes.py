@@ -76,6 +76,8 @@ class LaneMLP(nn.Module):
         super().__init__()
         self.activation = check_activation(activation)
         self.sizes = list(sizes)
+        if not isinstance(bias, bool):
+            raise ValueError(f"bias must be true or false, got {bias!r}")
         if init == "zeros" and len(sizes) > 2:
             raise ValueError("init 'zeros' leaves hidden layers without a gradient; choose another")
         streams = {"seed": seed, "first_trial": first_trial, "network": network}

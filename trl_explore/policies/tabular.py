@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import gymnasium as gym
-from gymnasium import spaces
 from torchrl.envs import EnvBase
 
-from trl_explore.envs import lane_env
+from trl_explore.policies.base import is_one_hot, observation_space
 from trl_explore.policies.linear import LinearPolicy
 
 
@@ -34,17 +32,7 @@ class TabularPolicy(LinearPolicy):
     def __init__(
         self, env: EnvBase, *, init: str = "zeros", seed: int = 0, first_trial: int = 0
     ) -> None:
-        space = _space(env)
-        if not isinstance(space, spaces.Discrete):
-            raise ValueError(f"a table needs a Discrete observation, the environment has {space}")
+        if not is_one_hot(env):
+            space = " ".join(str(observation_space(env)).split())
+            raise ValueError(f"a table needs Discrete observations, got {space}")
         super().__init__(env, init=init, seed=seed, first_trial=first_trial)
-
-
-def _space(env: EnvBase) -> gym.Space | None:
-    """The observation space before it became one-hot."""
-    lane = lane_env(env).envs[0]
-    while isinstance(lane, gym.Wrapper):
-        if isinstance(lane, gym.wrappers.FlattenObservation):
-            return lane.env.observation_space
-        lane = lane.env
-    return lane.observation_space

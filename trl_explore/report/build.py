@@ -19,6 +19,7 @@ from trl_explore.report.results_tables import (
     summary_table,
 )
 from trl_explore.report.tables import Table
+from trl_explore.results import ResultsError
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
 
@@ -58,7 +59,7 @@ def build_report(
     for group in figures.values():
         for figure in group:
             _write(out / FIGURES / f"{figure.id}.svg", figure.svg)
-            (out / FIGURES / f"{figure.id}.png").write_bytes(figure.png)
+            _fresh(out / FIGURES / f"{figure.id}.png").write_bytes(figure.png)
     for table in [
         content.claims, content.jobs, content.gaps, *(t for part in tables.values() for t in part)
     ]:  # fmt: skip
@@ -68,7 +69,16 @@ def build_report(
 
 
 def _clear(out: Path) -> None:
-    """Make room for a report; remove the figures and tables of an earlier one, and only those."""
+    """Make room for a report; remove the figures and tables of an earlier one, and only those.
+
+    Links go, what they point to stays: a folder of results, which may come from elsewhere, must
+    not decide where a report in it is written.
+    """
+    if out.is_symlink():
+        raise ResultsError(f"{out} is a link; --out says where the report goes")
+    for name in (PAGE, FIGURES, TABLES):
+        if (out / name).is_symlink():
+            (out / name).unlink()
     if (out / PAGE).is_file() and TITLE in (out / PAGE).read_text(
         encoding="utf-8", errors="replace"
     ):
@@ -88,4 +98,10 @@ def _write_table(folder: Path, table: Table) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8", newline="\n")
+    _fresh(path).write_text(text, encoding="utf-8", newline="\n")
+
+
+def _fresh(path: Path) -> Path:
+    """A file that is not there yet: not the target of a link that was."""
+    path.unlink(missing_ok=True)
+    return path

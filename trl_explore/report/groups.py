@@ -75,11 +75,17 @@ def group_jobs(jobs: Sequence[Job]) -> list[Group]:
         rule = (o.experiment, o.cap, o.threshold, o.window, _environment(o))
         by_rule.setdefault(rule, []).append(job)
     order = sorted(by_rule, key=lambda rule: (_rank(rule[0]), *map(str, rule)))
-    repeated = {rule[0] for rule in order if sum(r[0] == rule[0] for r in order) > 1}
+    ids = [_id(rule[0]) for rule in order]
     return [
-        _group(f"{rule[0]}-{k}" if rule[0] in repeated else rule[0], by_rule[rule])
-        for k, rule in enumerate(order, start=1)
+        _group(f"{name}-{k}" if ids.count(name) > 1 else name, by_rule[rule])
+        for k, (name, rule) in enumerate(zip(ids, order, strict=True), start=1)
     ]
+
+
+def _id(experiment: str) -> str:
+    """The name of an experiment as part of a file's name: no path, and of letters that all have."""
+    kept = (ch if (ch.isascii() and ch.isalnum()) or ch in "-_" else "-" for ch in experiment)
+    return "".join(kept)[:60] or "experiment"
 
 
 def _rank(experiment: str) -> int:
@@ -109,7 +115,7 @@ def _group(name: str, jobs: list[Job]) -> Group:
     first = ordered[0]
     looks = styles([c.strategy for c in ordered])
     return Group(
-        id="".join(ch if ch.isalnum() or ch in "-_" else "-" for ch in name)[:60] or "experiment",
+        id=name,
         title=_title(first.experiment, ordered),
         experiment=first.experiment,
         cap=first.cap,

@@ -15,8 +15,19 @@ STRATEGIES = {
     "epsilon_greedy": "ε-greedy",
     "decaying_epsilon_greedy": "decaying ε-greedy",
     "softmax": "softmax",
+    "boltzmann": "Boltzmann",
+    "mixture": "mixture",
+    "max_boltzmann": "max-Boltzmann",
+    "epsilon_softmax": "ε-softmax",
+    "epsilon_z_greedy": "ε-z-greedy",
+    "vdbe": "VDBE",
+    "count_bonus": "count bonus",
+    "parameter_noise": "parameter noise",
 }
-SYMBOLS = {"epsilon": "ε", "decay": "decay rate", "temperature": "T"}
+SYMBOLS = {
+    "epsilon": "ε", "decay": "decay rate", "temperature": "T", "sigma": "σ", "delta": "δ",
+    "beta": "β",
+}  # fmt: skip
 EXPERIMENTS = {
     "thesis": "The five strategies",
     "epsilon_grid": "The choice of ε",
@@ -39,7 +50,7 @@ def readable(text: str) -> str:
     >>> readable("softmax minus decaying_epsilon_greedy")
     'softmax minus decaying ε-greedy'
     """
-    pattern = r"\b(decaying_epsilon_greedy|epsilon_greedy)\b"
+    pattern = rf"\b({'|'.join(STRATEGIES)})\b"
     text = re.sub(pattern, lambda match: STRATEGIES[match[1]], text)
     return re.sub(r"(?<![\w.)])-(?=\d)", "−", text)
 
@@ -121,9 +132,10 @@ def _flat(c: Outcomes) -> dict[str, Any]:
 
 def _symbol(key: str) -> str:
     last = key.rsplit(".", 1)[-1].strip("_").replace("_", " ")
-    if key in SYMBOLS:
-        return SYMBOLS[key]
-    return key.split(".", 1)[0] if last == "target" else last
+    parameter = SYMBOLS.get(key.split(".", 1)[0], key.split(".", 1)[0])
+    if key in SYMBOLS or last == "target":
+        return parameter
+    return f"{last} {parameter}" if key.split(".", 1)[0] in SYMBOLS else last
 
 
 def _value(value: Any) -> str:

@@ -63,12 +63,12 @@ def load(folders: Sequence[Path]) -> Loaded:
     for folder in folders:
         if not folder.is_dir():
             raise ResultsError(f"{folder}: no such folder")
-    gaps = _unfinished(folders)
+    found = {job.resolve(): done for f in folders for job, done in results.find_folders(f)}
+    gaps = [Gap(_short(job), UNFINISHED) for job in sorted(found) if not found[job]]
     errors: list[Exception] = []
     jobs = []
     timings: dict[Path, pd.DataFrame | None] = {}
-    found = dict.fromkeys(job.resolve() for f in folders for job in results.find_jobs(f))
-    for folder in found:
+    for folder in (job for job, done in found.items() if done):
         try:
             outcomes = _checked(results.read_job(folder), folder)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -104,16 +104,6 @@ def _short(folder: Path) -> str:
     return f"{folder.parent.name}/{folder.name}"
 
 
-def _unfinished(folders: Sequence[Path]) -> list[Gap]:
-    begun = {
-        path.parent.resolve()
-        for folder in folders
-        for pattern in (".hydra", results.TRIALS)
-        for path in folder.rglob(pattern)
-    }
-    return [Gap(_short(job), UNFINISHED) for job in sorted(begun) if not results.is_finished(job)]
-
-
 def _checked(outcomes: Outcomes, folder: Path) -> Outcomes:
     """Refuse what the analysis could not use, or would get wrong."""
     where = folder / results.TRIALS
@@ -124,10 +114,6 @@ def _checked(outcomes: Outcomes, folder: Path) -> Outcomes:
         trial_keys(outcomes)
     except ValueError as error:
         raise ResultsError(f"{where}: {error}") from None
-    if not ((outcomes.status == "converged") == outcomes.converged).all():
-        raise ResultsError(f"{where}: status and converged contradict each other")
-    if (outcomes.iterations < 1).any() or (outcomes.frames < 1).any():
-        raise ResultsError(f"{where}: a trial without iterations or frames")
     return outcomes
 
 

@@ -15,6 +15,14 @@ STRATEGIES = {
     "epsilon_greedy": "with probability ε a random action, else the preferred one",
     "decaying_epsilon_greedy": "the same, with an ε that shrinks in every iteration",
     "softmax": "actions are drawn with the probabilities that the policy gives them",
+    "boltzmann": "softmax at a temperature that falls from iteration to iteration",
+    "mixture": "the preferred action, softmax and a random action, each with a share",
+    "max_boltzmann": "with probability ε an action by softmax, else the preferred one",
+    "epsilon_softmax": "with probability ε a random action, else one by softmax",
+    "epsilon_z_greedy": "ε-greedy whose random actions are repeated for a random time",
+    "vdbe": "ε-greedy with an ε that follows how much the mean score still changes",
+    "count_bonus": "softmax that prefers what has been tried less often in a state",
+    "parameter_noise": "softmax of a policy whose weights are perturbed once per episode",
 }
 
 

@@ -44,15 +44,23 @@ KNOWN: Mapping[str, Style] = {
     "epsilon_greedy": Style("#0072b2", "o", _DASH),
     "decaying_epsilon_greedy": Style("#009e73", "D", _LONG),
     "softmax": Style("#a8328c", "v", "-"),
+    "boltzmann": Style("#7a1f3d", "v", _DASH),
+    "mixture": Style("#c28100", "P", _DASH_DOT_DOT),
+    "max_boltzmann": Style("#697fea", "X", "-"),
+    "epsilon_softmax": Style("#3f93cc", "<", _DASH),
+    "epsilon_z_greedy": Style("#3b2f8f", "h", _DASH_DOT),
+    "vdbe": Style("#2f9a9a", "p", _LONG),
+    "count_bonus": Style("#8c5b5b", ">", _DOT),
+    "parameter_noise": Style("#678c4d", "d", _DASH_DOT_DOT),
 }
 FURTHER: Sequence[Style] = (
-    Style("#c28100", "P", _DASH_DOT_DOT),
-    Style("#4a9fd8", "X", "-"),
-    Style("#7a1f3d", "<", _DASH),
-    Style("#8a8a1f", ">", _DOT),
-    Style("#3b2f8f", "h", _DASH_DOT),
-    Style("#2f9a9a", "p", _LONG),
-    Style("#6b3410", "d", _DASH_DOT_DOT),
+    Style("#6b3410", "P", "-"),
+    Style("#0891ad", "X", _DASH),
+    Style("#4a0acc", "<", _DOT),
+    Style("#c8504f", ">", _DASH_DOT),
+    Style("#05056b", "h", _LONG),
+    Style("#4f7a28", "p", _DASH_DOT_DOT),
+    Style("#2340b8", "d", "-"),
 )
 MARKERS = "o^sDvPX<>hpd"
 LINES: Sequence[LineStyle] = ("-", _DASH, _DASH_DOT, _LONG, _DASH_DOT_DOT)

@@ -88,7 +88,8 @@ class Table:
         head = " & ".join(_latex(c.title) for c in self.columns)
         body = "".join(f"{row} \\\\\n" for row in rows)
         return (
-            f"% {self.title}\n\\begin{{tabular}}{{{align}}}\n\\toprule\n{head} \\\\\n\\midrule\n"
+            f"% {_latex(self.title)}\n"
+            f"\\begin{{tabular}}{{{align}}}\n\\toprule\n{head} \\\\\n\\midrule\n"
             f"{body}\\bottomrule\n\\end{{tabular}}\n"
         )
 
@@ -107,7 +108,7 @@ def _plain(value: Any) -> str:
 
 
 def _markdown(text: str) -> str:
-    safe = escape(text, quote=False).replace("\n", " ")
+    safe = escape("".join(c if c.isprintable() else " " for c in text), quote=False)
     return re.sub(r"([\\`*_|\[\]#])", r"\\\1", safe)
 
 
@@ -121,4 +122,5 @@ _LATEX = {
 
 
 def _latex(text: str) -> str:
-    return "".join(_LATEX.get(character, character) for character in text)
+    """Text for LaTeX: nothing in it is a command, and nothing ends a line or a comment."""
+    return "".join(_LATEX.get(c, c if c.isprintable() else " ") for c in text)

@@ -15,6 +15,7 @@ whole. While a job is not finished, its folder also holds ``checkpoint/`` (see
 ``trl_explore.checkpoint``), from which it goes on, and ``.lock`` while a process runs it.
 """
 
+from trl_explore.results.integrity import check_whole
 from trl_explore.results.names import (
     EPISODE_COLUMNS,
     EPISODES,
@@ -25,6 +26,7 @@ from trl_explore.results.names import (
     ResultsError,
 )
 from trl_explore.results.reading import (
+    find_folders,
     find_jobs,
     is_finished,
     read_curves,
@@ -47,7 +49,9 @@ __all__ = [
     "TRIALS",
     "TRIAL_COLUMNS",
     "ResultsError",
+    "check_whole",
     "clear",
+    "find_folders",
     "find_jobs",
     "is_finished",
     "read_curves",

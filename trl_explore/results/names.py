@@ -13,10 +13,14 @@ EVALUATION_COLUMNS = ("trial", "iteration", "score")
 TIMINGS = "timings.csv"
 TIMING_COLUMNS = ("experiment", "job", "trial", "seconds", "frames")
 RUN_KEYS = {
-    "config", "strategy", "experiment", "trials", "versions", "seed", "collector", "seconds",
-    "machine",
+    "config": (dict,), "strategy": (str,), "experiment": (str,), "trials": (int,),
+    "versions": (dict,), "seed": (int,), "collector": (str,), "seconds": (int, float),
+    "machine": (dict,),
 }  # fmt: skip
-CONFIG_KEYS = {"strategy", "max_iterations", "score_threshold", "score_window"}
+CONFIG_KEYS = {
+    "strategy": (dict,), "max_iterations": (int,), "score_threshold": (int, float),
+    "score_window": (int,),
+}  # fmt: skip
 PACKAGES = ("trl_explore", "torch", "torchrl", "tensordict", "gymnasium", "numpy", "numba")
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.analysis.outcomes import STATUSES, Outcomes
+from trl_explore.checks import first_line
 from trl_explore.results.names import (
     CONFIG_KEYS,
     EPISODE_COLUMNS,
@@ -25,9 +28,21 @@ from trl_explore.results.names import (
     WEIGHTS,
     ResultsError,
 )
+from trl_explore.results.tables import Parser, booleans, integers, numbers, read_table, words
 
 if TYPE_CHECKING:
     import pandas as pd
+
+TRIAL_PARSERS: dict[str, Parser] = dict(
+    zip(
+        TRIAL_COLUMNS,
+        (
+            integers, integers, integers, booleans, numbers, integers, numbers,
+            lambda texts: np.array(words(texts, STATUSES), dtype=np.str_),
+        ),
+        strict=True,
+    )
+)  # fmt: skip
 
 
 def is_finished(job: Path) -> bool:
@@ -43,15 +58,26 @@ def read_run(job: Path) -> dict[str, Any]:
     """
     try:
         run = json.loads((job / RUN).read_text(encoding="utf-8"))
-        if missing := RUN_KEYS - set(run):
+        if missing := RUN_KEYS.keys() - set(run):
             raise KeyError(*sorted(missing))
-        if missing := CONFIG_KEYS - set(run["config"]):
+        _check_kinds(run, RUN_KEYS)
+        if missing := CONFIG_KEYS.keys() - set(run["config"]):
             raise KeyError(*sorted(missing))
+        _check_kinds(run["config"], CONFIG_KEYS)
     except FileNotFoundError:
         raise ResultsError(f"{job}: no finished job ({RUN} is missing)") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ResultsError(f"{job / RUN}: not readable as the record of a job ({error})") from None
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise ResultsError(f"{job / RUN}: not readable as the record of a job ({reason})") from None
     return run
+
+
+def _check_kinds(record: dict[str, Any], kinds: dict[str, tuple[type, ...]]) -> None:
+    for key, allowed in kinds.items():
+        value = record[key]
+        infinite = isinstance(value, float) and not math.isfinite(value)
+        if infinite or isinstance(value, bool) or not isinstance(value, allowed):
+            raise TypeError(f"{key} is {str(value)[:30]!r}")
 
 
 def read_trials(job: Path) -> pd.DataFrame:
@@ -60,15 +86,21 @@ def read_trials(job: Path) -> pd.DataFrame:
     Raises:
         ResultsError: if the file is missing, truncated or foreign.
     """
-    frame = _read_csv(job / TRIALS, TRIAL_COLUMNS)
-    if not set(frame["status"]) <= set(STATUSES):
-        raise ResultsError(f"{job / TRIALS}: a status is not one of {', '.join(STATUSES)}")
-    for name in ("trial", "seed", "iterations", "frames"):
-        if frame[name].dtype.kind != "i":
-            raise ResultsError(f"{job / TRIALS}: column {name} is not of integers")
-    if frame["converged"].dtype.kind != "b" or frame["score"].dtype.kind not in "fi":
-        raise ResultsError(f"{job / TRIALS}: column converged or score is not of its type")
-    return frame
+    import pandas as pd
+
+    return pd.DataFrame(_trials(job))
+
+
+def _trials(job: Path) -> dict[str, NDArray[Any]]:
+    """The columns of ``trials.csv``, each [n_trials]."""
+    columns = read_table(job / TRIALS, TRIAL_PARSERS)
+    if (columns["iterations"] < 1).any() or (columns["frames"] < 1).any():
+        raise ResultsError(f"{job / TRIALS}: a trial without iterations or frames")
+    if (np.diff(columns["trial"]) != 1).any():
+        raise ResultsError(f"{job / TRIALS}: its trials do not follow each other")
+    if (columns["converged"] != (columns["status"] == "converged")).any():
+        raise ResultsError(f"{job / TRIALS}: status and converged contradict each other")
+    return columns
 
 
 def read_episodes(job: Path) -> pd.DataFrame:
@@ -77,13 +109,23 @@ def read_episodes(job: Path) -> pd.DataFrame:
     Raises:
         ResultsError: if the file is missing, truncated or foreign.
     """
-    frame, trials = _read_csv(job / EPISODES, EPISODE_COLUMNS), read_trials(job)
+    frame, trials = _read_csv(job / EPISODES, EPISODE_COLUMNS), _trials(job)
     for name in ("trial", "iteration", "frames"):
         if frame[name].dtype.kind != "i":
             raise ResultsError(f"{job / EPISODES}: column {name} is not of integers")
-    counted = frame.groupby("trial")["frames"].agg(["size", "sum"]).reset_index()
-    expected = trials.sort_values("trial")[["trial", "iterations", "frames"]]
-    if not np.array_equal(counted.to_numpy(), expected.to_numpy()):
+    if frame["score"].dtype.kind not in "fi" or not np.isfinite(frame["score"]).all():
+        raise ResultsError(f"{job / EPISODES}: column score is not of finite numbers")
+    groups = frame.groupby(["trial", "iteration"])["frames"].agg(["size", "sum"]).reset_index()
+    trial, iteration, size, total = groups.to_numpy(dtype=np.int64).T
+    row = np.repeat(np.arange(len(trials["trial"])), trials["iterations"])
+    begun = np.cumsum(trials["iterations"]) - trials["iterations"]
+    same = (
+        np.array_equal(trial, trials["trial"][row])
+        and np.array_equal(iteration, np.arange(1, len(row) + 1) - begun[row])
+        and bool((size == size[:1]).all())  # episodes of an iteration
+        and np.array_equal(np.bincount(row, weights=total), trials["frames"])
+    )
+    if not same:
         raise ResultsError(f"{job / EPISODES}: its episodes are not those of {TRIALS}")
     return frame
 
@@ -139,14 +181,14 @@ def read_curves(job: Path) -> pd.DataFrame:
         raise ResultsError(f"{job / SCALARS}: no learning curves")
     curves = {}
     for file in files:
-        try:
-            table = pd.read_csv(file, header=None, names=["iteration", "value"], index_col=0)
-            curves[file.stem] = table["value"].astype(float)
-        except (OSError, ValueError) as error:
-            raise ResultsError(f"{file}: not readable as a curve ({error})") from None
+        columns = read_table(file, {"iteration": integers, "value": numbers}, header=False)
+        if not np.array_equal(columns["iteration"], np.arange(1, len(columns["value"]) + 1)):
+            raise ResultsError(f"{file}: its iterations do not follow each other")
+        curves[file.stem] = columns["value"]
     if len({len(curve) for curve in curves.values()}) > 1:
         raise ResultsError(f"{job / SCALARS}: the curves are not of the same length")
-    return pd.DataFrame(curves)
+    index = pd.RangeIndex(1, 1 + len(next(iter(curves.values()))), name="iteration")
+    return pd.DataFrame(curves, index=index)
 
 
 def _read_csv(path: Path, columns: Iterable[str]) -> pd.DataFrame:
@@ -157,10 +199,12 @@ def _read_csv(path: Path, columns: Iterable[str]) -> pd.DataFrame:
     except FileNotFoundError:
         raise ResultsError(f"{path}: missing") from None
     except (OSError, ValueError) as error:
-        raise ResultsError(f"{path}: not readable as CSV ({str(error).splitlines()[0]})") from None
+        raise ResultsError(f"{path}: not readable as CSV ({first_line(error)})") from None
     missing = [name for name in columns if name not in frame.columns]
     if missing:
         raise ResultsError(f"{path}: no column {', '.join(missing)}")
+    if not isinstance(frame.index, pd.RangeIndex):
+        raise ResultsError(f"{path}: its lines have more fields than its first one")
     if frame[list(columns)].isna().to_numpy().any():
         raise ResultsError(f"{path}: a value is missing")
     return frame
@@ -172,10 +216,14 @@ def read_job(job: Path) -> Outcomes:
     Raises:
         ResultsError: if the folder does not hold one, or its files contradict each other.
     """
-    run, frame = read_run(job), read_trials(job)
+    run, columns = read_run(job), _trials(job)
     config = run["config"]
-    if len(frame) != run["trials"]:
-        raise ResultsError(f"{job / TRIALS}: {len(frame)} trials, but the job had {run['trials']}")
+    if len(columns["trial"]) != run["trials"]:
+        raise ResultsError(
+            f"{job / TRIALS}: {len(columns['trial'])} trials, but the job had {run['trials']}"
+        )
+    if (columns["seed"] != run["seed"]).any():
+        raise ResultsError(f"{job / TRIALS}: a trial of another seed than {run['seed']}")
     parameters = {k: v for k, v in config["strategy"].items() if not k.startswith("_")}
     return Outcomes(
         name=job.name,
@@ -187,17 +235,37 @@ def read_job(job: Path) -> Outcomes:
         threshold=config["score_threshold"],
         window=config["score_window"],
         provenance={k: run[k] for k in ("versions", "seed", "collector", "seconds", "machine")},
-        status=np.asarray(frame["status"], dtype=np.str_),
-        **{
-            name: frame[name].to_numpy(dtype=dtype)
-            for name, dtype in zip(TRIAL_COLUMNS[:7], "qqq?dqd", strict=True)
-        },
+        **columns,
     )
 
 
 def find_jobs(folder: Path) -> list[Path]:
     """The folders of all finished jobs at or below ``folder``, in order of their names."""
-    return sorted(path.parent for path in folder.rglob(RUN))
+    return [job for job, finished in find_folders(folder) if finished]
+
+
+def find_folders(folder: Path) -> list[tuple[Path, bool]]:
+    """The folders of all jobs at or below ``folder``, by name, and whether each is finished.
+
+    Hidden folders and links to folders are not looked into: a link may lead anywhere.
+    """
+    found: list[tuple[Path, bool]] = []
+    below = [folder]
+    while below:
+        place = below.pop()
+        try:
+            with os.scandir(place) as entries:
+                names = {e.name: e.is_dir(follow_symlinks=False) for e in entries}
+        except OSError:
+            continue
+        if names.keys() & {RUN, ".hydra", TRIALS}:
+            found.append((place, RUN in names))
+        below += [
+            place / name
+            for name, is_folder in names.items()
+            if is_folder and name[0] != "." and name != SCALARS
+        ]
+    return sorted(found)
 
 
 def read_jobs(folders: Iterable[Path]) -> list[Outcomes]:

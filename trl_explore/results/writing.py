@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trl_explore.results.integrity import record
 from trl_explore.results.names import (
     EPISODE_COLUMNS,
     EPISODES,
@@ -101,12 +102,24 @@ def write_job(
         "trials": len(trials),
         "collector": collector,
         "seconds": seconds,
+        "iterations": trials.iteration,
+        "threads": _threads(),
+        "files": record(job),
         "config": config,
         "versions": versions(),
         "machine": {"system": platform.system(), "processor": platform.machine()},
     }
     _sync(job)
     _write_text(job / RUN, json.dumps(run, indent=2) + "\n")
+
+
+def _threads() -> dict[str, int]:
+    """Among how many threads the work was divided: by compiled code, and by torch."""
+    import torch
+
+    from trl_explore.threads import get_threads
+
+    return {"compiled": get_threads(), "torch": torch.get_num_threads()}
 
 
 def _write_text(path: Path, text: str) -> None:

@@ -110,14 +110,17 @@ class EpsilonZGreedy(Strategy):
             self._reset(batch.numel())
         trial = tensordict.get("trial", None)
         epsilon = rows(self.epsilon(self.iteration), trial, logits)
-        epsilon = torch.as_tensor(epsilon, dtype=torch.float64).expand(*batch, 1).squeeze(-1)
+        epsilon = torch.as_tensor(epsilon, dtype=torch.float64, device=logits.device)
+        epsilon = epsilon.expand(*batch, 1).squeeze(-1)
         whether, what, how_long = noise.unbind(-1)
         uniform = inverse_cdf(mixture_probs(logits, Mixture(uniform=1.0)), what)
         greedy = inverse_cdf(mixture_probs(logits, Mixture(greedy=1.0)), what)
-        duration = torch.searchsorted(self._cdf, how_long.double().contiguous(), right=True) + 1
+        cdf, points = self._cdf.to(noise.device), how_long.double().contiguous()
+        duration = torch.searchsorted(cdf, points, right=True) + 1
         exploring = whether < epsilon
 
-        held, left = self._action.view(batch), self._remaining.view(batch)
+        held = self._action.to(logits.device).view(batch)
+        left = self._remaining.to(logits.device).view(batch)
         held = held.clamp(max=logits.shape[-1] - 1)
         allowed = logits.gather(-1, held.unsqueeze(-1)).squeeze(-1) != -torch.inf
         running = (left > 0) & allowed & ~_starts(tensordict, batch)
@@ -140,7 +143,7 @@ class EpsilonZGreedy(Strategy):
 
 def _starts(tensordict: TensorDictBase, batch: torch.Size) -> Tensor:
     """Whether a frame is known to be the first of its episode [*batch]."""
-    first = torch.zeros(batch, dtype=torch.bool)
+    first = torch.zeros(batch, dtype=torch.bool, device=tensordict.device)
     if (is_init := tensordict.get("is_init", None)) is not None:
         first = first | is_init.reshape(batch)
     if (step_count := tensordict.get("step_count", None)) is not None:

@@ -1,0 +1,139 @@
+"""Perturbed policies."""
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch.distributions import Categorical, kl_divergence
+
+from trl_explore.collectors import (
+    TorchRLCollector,
+)
+from trl_explore.envs import make_env
+from trl_explore.policies import LinearPolicy
+from trl_explore.schedules import Linear
+from trl_explore.strategies import ParameterNoise
+from trl_explore.streams import Stream, generator
+
+
+def collector(kind, strategy, trials=4, *, seed=0, first_trial=0, max_steps=40, **options):
+    torch.set_num_threads(1)
+    env = make_env("CartPole-v1", trials, max_steps, seed=seed, first_trial=first_trial)
+    policy = LinearPolicy(env, seed=seed, first_trial=first_trial)
+    return kind(env, TensorDictSequential(policy, strategy), **options)
+
+
+def noisy(**options):
+    """A collector of two linear policies and the perturbation of an episode, drawn by hand."""
+    strategy = ParameterNoise(**options)
+    episodes = collector(TorchRLCollector, strategy, 2, seed=5, first_trial=3)
+
+    def xi(k, episode):
+        drawn = generator(5, Stream.STRATEGY, 3 + k, episode).standard_normal((2, 4))
+        return torch.from_numpy(drawn)
+
+    return episodes, xi
+
+
+def test_actions_are_those_of_the_perturbed_policy():
+    episodes, xi = noisy(sigma=[0.5, 2.0], temperature=1.5, threshold=None)
+    weight = episodes.policy[0].weight
+    for episode in range(3):
+        data = episodes.collect()
+        for k, sigma in enumerate((0.5, 2.0)):
+            own = data[data["trial"] == k]
+            perturbed = weight[k].detach() + (sigma * xi(k, episode)).float()
+            probs = torch.softmax(own["observation"] @ perturbed.T / 1.5, -1)
+            drawn = probs.gather(1, own["action"].unsqueeze(1)).squeeze(1)
+            torch.testing.assert_close(own["action_log_prob"], drawn.log(), rtol=1e-4, atol=1e-5)
+            noise = generator(5, Stream.ACTION, 3 + k, episode).random(len(own))
+            expected = (noise >= probs[:, 0].numpy()).astype(int)
+            np.testing.assert_array_equal(own["action"].numpy(), expected)
+        episodes.strategy.step(data)
+
+
+@pytest.mark.parametrize("per_update", [1, 2])
+def test_sigma_adapts_to_the_distance_of_the_last_episode(per_update):
+    strategy = ParameterNoise(sigma=[0.01, 5.0], threshold=0.05, factor=1.25)
+    episodes = collector(
+        TorchRLCollector, strategy, 2, seed=5, first_trial=3, episodes_per_update=per_update
+    )
+    data = episodes.collect()
+    weight = episodes.policy[0].weight.detach().clone()
+    episodes.policy[0].weight.data += 3.0  # the update comes before the step: it plays no role
+    distances, frames = strategy._distance(data[-1:])  # one frame, of trial 1
+    draws = generator(5, Stream.STRATEGY, 4, per_update - 1).standard_normal((2, 4))
+    logits = data["observation"][-1] @ weight[1].T
+    other = data["observation"][-1] @ (weight[1] + torch.from_numpy(5.0 * draws).float()).T
+    expected = kl_divergence(Categorical(logits=logits), Categorical(logits=other))
+    np.testing.assert_allclose(distances, [0, expected.item()], rtol=1e-4)
+    assert frames.tolist() == [0, 1]
+    strategy.step(data)
+    np.testing.assert_allclose(strategy.scale, [1.25, 1 / 1.25], rtol=1e-12)
+    strategy.step(data[data["trial"] == 0])  # a stopped trial keeps its own
+    np.testing.assert_allclose(strategy.scale, [1.25**2, 1 / 1.25], rtol=1e-12)
+
+
+def test_without_a_threshold_sigma_is_its_schedule():
+    episodes, xi = noisy(sigma=Linear(1.0, 0.0, iterations=4), threshold=None)
+    for i, sigma in enumerate((1.0, 0.75, 0.5)):
+        data = episodes.collect()
+        center = episodes.policy[0].weight.detach()
+        (perturbed,) = episodes.strategy.behaviour_parameters([episodes.policy[0].weight])
+        for k in range(2):
+            expected = (sigma * xi(k, i)).float()
+            torch.testing.assert_close(perturbed[k] - center[k], expected, rtol=1e-4, atol=1e-6)
+        episodes.strategy.step(data)
+
+
+def test_any_parameters_of_a_single_policy_are_perturbed():
+    network = torch.nn.Sequential(torch.nn.Linear(3, 5), torch.nn.Tanh(), torch.nn.Linear(5, 2))
+    policy = TensorDictModule(network, ["observation"], ["logits"])
+    before = [p.clone() for p in policy.parameters()]
+    strategy = ParameterNoise(sigma=0.5)
+    strategy.bind(policy, 1, seed=2)
+    data = policy(TensorDict({"observation": torch.ones(6, 3)}, [6]))
+    changed = strategy.preferences(data, data["logits"])
+    assert not torch.isclose(changed, data["logits"]).any()
+    assert all(torch.equal(a, b) for a, b in zip(before, policy.parameters(), strict=True))
+    with pytest.raises(ValueError, match=r"must be the 2 trials, but module.0.weight is \[5, 3\]"):
+        strategy.bind(policy, 2)
+
+
+def test_first_frames_that_are_marked_begin_an_episode():
+    policy = TensorDictModule(torch.nn.Linear(3, 2, bias=False), ["observation"], ["logits"])
+    strategy = ParameterNoise(sigma=1.0)
+    strategy.bind(policy, 1, seed=2)
+
+    def preferences(first):
+        data = TensorDict({"observation": torch.ones(3), "is_init": torch.tensor([first])})
+        return strategy.preferences(data, torch.zeros(2))
+
+    one, same, other = preferences(True), preferences(False), preferences(True)
+    assert torch.equal(one, same)
+    assert not torch.equal(one, other)
+    for episode, seen in enumerate((one, other)):
+        xi = generator(2, Stream.STRATEGY, 0, episode).standard_normal(6).reshape(2, 3)
+        expected = policy.module.weight.detach().sum(1) + torch.from_numpy(xi).float().sum(1)
+        torch.testing.assert_close(seen, expected)
+
+
+def test_noise_on_a_policy_that_is_not_known_is_an_error():
+    data = TensorDict({"logits": torch.zeros(2)})
+    with pytest.raises(ValueError, match=r"call bind\(policy, trials\) first"):
+        ParameterNoise()(data)
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"sigma": -0.1}, "sigma"),
+        ({"temperature": -1.0}, "temperature"),
+        ({"threshold": 0.0}, "threshold"),
+        ({"factor": 1.0}, "factor"),
+    ],
+)
+def test_parameter_noise_refuses(options, name):
+    with pytest.raises(ValueError, match=f"^{name} must be"):
+        ParameterNoise(**options)
