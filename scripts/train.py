@@ -11,10 +11,11 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trl_explore.signals import Interrupted, Interrupts, leave_on_signals, raise_on_signals
+from trl_explore import signals
+from trl_explore.signals import Interrupted, Interrupts
 
 if __name__ == "__main__":
-    leave_on_signals()
+    signals.leave_on_signals()
 
 import hydra
 from hydra.errors import HydraException
@@ -26,7 +27,9 @@ from trl_explore import results
 from trl_explore.checkpoint import FOLDER as CHECKPOINT
 from trl_explore.checkpoint import Checkpoint, Store
 from trl_explore.config import CONF, ConfigError, Ended
+from trl_explore.locks import NAME as LOCK
 from trl_explore.locks import Lock, LockedError
+from trl_explore.results import ResultsError
 from trl_explore.resume import find
 
 if TYPE_CHECKING:
@@ -44,7 +47,11 @@ def run(config: DictConfig) -> Ended:
     if configuration.is_worker():
         begin_worker()
     try:
-        train(config, folder)
+        try:
+            train(config, folder)
+        except Exception:
+            signals.check()  # it may be what a signal has become on its way
+            raise
     except Exception as error:  # whatever ends a job, the others of the sweep are run
         if show_traceback:
             traceback.print_exc()
@@ -74,6 +81,7 @@ def train(config: DictConfig, folder: Path) -> None:
     """Run a job into its folder, unless it is there already."""
     choices = configuration.current_choices()
     configuration.check_keys(config, choices)
+    configuration.fill_threshold(config)
     values = configuration.resolved(config)
     if results.is_finished(folder) and not config.restart:
         leave_finished(folder, values)
@@ -92,13 +100,18 @@ def train(config: DictConfig, folder: Path) -> None:
 
 def leave_finished(folder: Path, values: dict[str, Any]) -> None:
     """Say that a job is finished, and remove what a kill in its last moment left there."""
-    differences = configuration.differences(results.read_run(folder)["config"], values)
+    record = results.read_run(folder)
+    differences = configuration.differences(record["config"], values)
     if differences:
         raise ConfigError(
             f"{folder} holds a job of another configuration ({'; '.join(differences)}); "
             "restart=true begins anew"
         )
-    if (folder / CHECKPOINT).exists():
+    try:
+        results.check_whole(folder, record)
+    except ResultsError as error:
+        raise ResultsError(f"{error}; restart=true begins anew") from None
+    if (folder / CHECKPOINT).exists() or (folder / LOCK).exists():
         with suppress(OSError), Lock(folder):
             Store(folder).clear()
     print(f"{folder.name}: finished before, nothing to do (restart=true begins anew)")
@@ -167,9 +180,12 @@ def train_from(
                 evaluator=trainer.evaluator,
                 diagnostics=trainer.diagnostics,
             )
-    except Interrupted as error:
-        saver.rescue()
-        error.where = f" at iteration {saver.saved} of {folder.name}" if saver.saved else ""
+    except BaseException:
+        if interrupts.pending is not None:
+            saver.rescue()
+            if saver.saved:
+                interrupts.pending.where = f" at iteration {saver.saved} of {folder.name}"
+            interrupts.check()
         raise
     finally:
         progress.close()
@@ -185,21 +201,29 @@ def main() -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # hand errors over instead of printing tracebacks
     configuration.register_resolvers()
     try:
-        raise_on_signals()
+        return sweep()
+    except Interrupted as error:
+        print(f"{error}{error.where}; the same command goes on", file=sys.stderr)
+        return error.status
+
+
+def sweep() -> int:
+    """All jobs of the command; returns the exit status."""
+    try:
+        signals.raise_on_signals()
         with configuration.collecting() as jobs:
             run()
+        signals.check()
         finished = [job.folder for job in jobs if not job.error]
         failed = [job for job in jobs if job.error]
         if finished:
             show(finished)
-    except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
-        if show_traceback:
+    except Exception as error:
+        signals.check()
+        if show_traceback or not isinstance(error, (HydraException, *EXPECTED)):
             raise
         print(f"error: {configuration.describe(error)}", file=sys.stderr)
         return 1
-    except Interrupted as error:
-        print(f"{error}{error.where}; the same command goes on", file=sys.stderr)
-        return error.status
     if len(jobs) > 1 and failed:
         print(f"{len(failed)} of {len(jobs)} jobs failed:", file=sys.stderr)
         for job in failed:

@@ -114,13 +114,17 @@ def run_cli() -> Callable[..., subprocess.CompletedProcess[str]]:
     return run
 
 
-# What the shell would do with each command, one after the other in one process.
+# What the shell would do with each command, one after the other in one process; a text in their
+# midst is Python.
 DRIVER = """
 import contextlib, io, json, os, runpy, sys, traceback
 from hydra.core.global_hydra import GlobalHydra
 
 script, results = sys.argv[1], []
 for arguments in json.load(sys.stdin):
+    if isinstance(arguments, str):
+        exec(arguments)
+        continue
     GlobalHydra.instance().clear()
     os.environ.pop("HYDRA_FULL_ERROR", None)
     sys.argv = [script, *arguments]
@@ -151,10 +155,10 @@ class Ran(NamedTuple):
 def run_many() -> Callable[..., list[Ran]]:
     """Many commands of ``scripts/train.py``, one after the other in one process."""
 
-    def run(commands: Iterable[Sequence[str]], cwd: Path) -> list[Ran]:
+    def run(commands: Iterable[str | Sequence[str]], cwd: Path) -> list[Ran]:
         process = subprocess.run(
             [sys.executable, "-c", DRIVER, str(SCRIPT)],
-            input=json.dumps([list(command) for command in commands]),
+            input=json.dumps([c if isinstance(c, str) else list(c) for c in commands]),
             cwd=cwd,
             capture_output=True,
             text=True,

@@ -409,7 +409,7 @@ WRONG = {
     "env=gym": "env.id must be set",
     "env=gym env.id=NoSuch-v7": "NoSuch-v7",
     "env=gym env.id=Taxi-v3": "Taxi-v3",
-    "env=gym env.id=Pendulum-v1": "Discrete",
+    "env=gym env.id=Pendulum-v1": "continuous actions, not served by Softmax and LinearPolicy",
     "env=gym env.id=Blackjack-v1": "Blackjack-v1",
     "env=gym env.id=CliffWalking-v1": "set max_steps",
     "env.max_steps=0": "max_steps must be an integer >= 1, got 0",

@@ -63,7 +63,8 @@ def pack(state: Any) -> Packed:
     seen: dict[Any, str] = {}
 
     def walk(node: Any, path: str) -> Any:
-        if node is None or isinstance(node, bool | int | float | str):
+        plain = node is None or isinstance(node, bool | int | float | str)
+        if plain and not isinstance(node, np.number):  # float64 is a float, too
             return node
         if isinstance(node, Mapping):
             pairs = [[key, walk(value, f"{path}.{key}")] for key, value in node.items()]

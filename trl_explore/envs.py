@@ -53,8 +53,8 @@ def make_env(
         attributes: attributes of the built environment to replace: constants that its constructor
             does not take. A kernel reads them from the same environment.
         stream: from which of the trials' streams the environment draws.
-        workers: processes that step the lanes; 1: this one, None: as many as there are processors.
-            Results do not depend on it.
+        workers: processes that step the lanes, this one among them; None: as many as there are
+            processors. Results do not depend on it.
 
     Raises:
         ValueError: if the environment does not exist, lacks a package, is not of a kind served,

@@ -19,6 +19,10 @@ TWICE = 0.3
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 
 
+_received: list[Interrupted] = []
+"""The signals that have come since the program began to serve them."""
+
+
 class Interrupted(KeyboardInterrupt):
     """A signal that ends the program; not an ``Exception``, so that nobody takes it for one."""
 
@@ -38,10 +42,36 @@ def raise_on_signals() -> None:
     """From here on, SIGINT, SIGTERM and SIGHUP raise ``Interrupted`` wherever the program is."""
 
     def handle(signum: int, frame: FrameType | None) -> None:
-        raise Interrupted(signum)
+        _received.append(Interrupted(signum))
+        raise _received[0]
 
+    _received.clear()
+    sys.unraisablehook = _lost
     for signum in _served():
         signal.signal(signum, handle)
+
+
+def _lost(event: sys.UnraisableHookArgs) -> None:
+    """What was raised in a destructor goes no further: end the process here, without a word of it.
+
+    Within a job the exception comes again, at the next boundary or by the timer.
+    """
+    if not isinstance(event.exc_value, Interrupted):
+        sys.__unraisablehook__(event)
+    elif not Interrupts.serving:
+        leave(event.exc_value)
+
+
+def check() -> None:
+    """End here if a signal has come.
+
+    What it raised may have been lost on the way, or taken for an error of the code it was in.
+
+    Raises:
+        Interrupted: if so.
+    """
+    if _received:
+        raise _received[0] from None
 
 
 def leave_on_signals() -> None:
@@ -82,6 +112,9 @@ class Interrupts:
         tidy: called before the process is ended at the beginning.
     """
 
+    serving = False
+    """Whether a job is served at present."""
+
     def __init__(self, tidy: Callable[[], None]) -> None:
         self.tidy = tidy
         self.pending: Interrupted | None = None
@@ -96,6 +129,7 @@ class Interrupts:
             signal.signal(signum, self._handle)
         if served:
             self._before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._alarm)
+        Interrupts.serving = bool(served)
         return self
 
     def __exit__(
@@ -104,9 +138,13 @@ class Interrupts:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self._stop_timer()
+        Interrupts.serving = False
         for signum, handler in self._before.items():
+            if signum == signal.SIGALRM:  # the last: nobody sets the timer any more
+                self._stop_timer()
             signal.signal(signum, handler)
+        if kind is None:
+            self.check()
 
     def _handle(self, signum: int, frame: FrameType | None) -> None:
         if self.pending is not None:
@@ -114,6 +152,7 @@ class Interrupts:
                 os._exit(self.pending.status)
             return
         self.pending, self._since = Interrupted(signum), time.monotonic()
+        _received.append(self.pending)
         if not self._deferred:
             self.tidy()
             leave(self.pending)
@@ -135,7 +174,7 @@ class Interrupts:
             Interrupted: if so.
         """
         if self.pending is not None:
-            raise self.pending
+            raise self.pending from None
 
     @contextmanager
     def deferred(self) -> Iterator[None]:

@@ -13,18 +13,47 @@ from tensordict.nn import TensorDictSequential
 from torchrl.envs.utils import ExplorationType
 
 from trl_explore.collectors import FusedCollector, NotCompilableError, TorchRLCollector
+from trl_explore.config.building import STOPPING
 from trl_explore.config.kinds import options
-from trl_explore.envs import make_env
+from trl_explore.envs import lane_env, make_env
+from trl_explore.kernels.base import _BUILDERS
 from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import EpsilonGreedy, Softmax
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 STRATEGIES = options("strategy", "discrete")
+
+
+def env_file(name: str, **changes) -> dict:
+    """The arguments of ``make_env`` that a file of ``conf/env`` has."""
+    arguments = OmegaConf.to_container(OmegaConf.load(CONF / "env" / f"{name}.yaml"))
+    for key in ("_target_", *STOPPING):
+        arguments.pop(key)
+    return {**arguments, **changes}
+
+
+# Episodes of the slower ones are cut, and fewer: whole ones are compared further down.
 ENVS = {
-    "cartpole": {"id": "CartPole-v1"},
-    "lake": {"id": "FrozenLake-v1", "kwargs": {"map_name": "8x8"}},
-    "short": {"id": "CartPole-v1", "max_steps": 12},
+    "cartpole": env_file("cartpole"),
+    "cartpole_15": env_file("cartpole_15", max_steps=100),
+    "frozenlake8x8": env_file("frozenlake8x8"),
+    "short": env_file("cartpole", max_steps=12),
+    "frozenlake": env_file("frozenlake", max_steps=40),
+    "cliffwalking": env_file("cliffwalking", max_steps=40),
+    "taxi": env_file("taxi", max_steps=40),
+    "acrobot": env_file("acrobot", max_steps=40),
+    "mountaincar": env_file("mountaincar", max_steps=40),
 }
+FULL = {"cartpole", "frozenlake8x8", "short"}
+
+
+def test_every_environment_that_is_compiled_is_compared():
+    compared = {lane_class(arguments) for arguments in ENVS.values()}
+    assert compared == {env for env in _BUILDERS if env.__module__.startswith("gymnasium")}
+
+
+def lane_class(arguments: dict) -> type:
+    return type(lane_env(make_env(**arguments)).envs[0].unwrapped)
 
 
 def build(collector, env: dict, strategy, trials: int, seed: int = 4, first_trial: int = 0):
@@ -62,7 +91,7 @@ def assert_same(fused, reference, rtol: float = 1e-5) -> None:
 @pytest.mark.parametrize("name", STRATEGIES)
 def test_the_same_episodes(name, env):
     """Hundreds of episodes of every strategy file, while the weights move."""
-    trials = 40
+    trials, iterations = (40, 6) if env in FULL else (12, 3)
     strategies = from_file(name), from_file(name)
     try:
         fused, policy = build(FusedCollector, ENVS[env], strategies[0], trials)
@@ -72,7 +101,7 @@ def test_the_same_episodes(name, env):
     assert torch.equal(policy.weight, other.weight)
     draws = torch.Generator().manual_seed(0)
     active = np.ones(trials, dtype=np.bool_)
-    for iteration in range(6):
+    for iteration in range(iterations):
         data = [collector.collect(active) for collector in (fused, reference)]
         assert_same(*data)
         with torch.no_grad():
@@ -84,6 +113,15 @@ def test_the_same_episodes(name, env):
         active[iteration::5] = False
         if not active.any():
             break
+
+
+@pytest.mark.parametrize("name", ["acrobot", "cliffwalking", "mountaincar", "taxi"])
+def test_whole_episodes(name):
+    """Up to the limit of the file, where rounding would have had the time to grow."""
+    pairs = [build(c, env_file(name), Softmax(), 5) for c in (FusedCollector, TorchRLCollector)]
+    data = pairs[0][0].collect()
+    assert_same(data, pairs[1][0].collect())
+    assert data["next", "step_count"].max() > 150
 
 
 @pytest.mark.parametrize("temperature", [1e-30, 0.3, 3.0, 1e30])

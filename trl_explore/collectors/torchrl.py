@@ -52,6 +52,8 @@ class TorchRLCollector(EpisodeCollector):
         with set_exploration_type(self.exploration_type):
             td = self.env.reset(reset)
             lanes.running[~active] = False
+            if lanes.has_masks:  # TorchRL fills the rows that are not reset with zeros
+                td.get("action_mask")[~torch.from_numpy(active)] = True
             while lanes.running.any():
                 td.set("trial", trial)
                 td.set("noise", noise.step(lanes.running))

@@ -10,6 +10,7 @@ from trl_explore.config.building import (
     build_trainer,
     current_choices,
     current_folder,
+    fill_threshold,
     is_multirun,
     save_hydra,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "describe",
     "differences",
     "end_job",
+    "fill_threshold",
     "first_line",
     "is_multirun",
     "is_worker",

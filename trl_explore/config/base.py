@@ -16,7 +16,8 @@ SCHEDULE = "schedule@"
 """How a choice begins that lets a parameter follow a file of ``conf/schedule``:
 ``+schedule@strategy.temperature=linear``."""
 INERT = (
-    "output_dir", "restart", "threads", "episodes", "collector.threads", "checkpoint_seconds",
+    "output_dir", "restart", "threads", "episodes", "collector.threads", "env.workers",
+    "checkpoint_seconds",
 )  # fmt: skip
 """Keys that change no result: they are not part of a job's name or identity."""
 

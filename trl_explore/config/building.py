@@ -39,6 +39,25 @@ STOPPING = ("max_iterations", "score_threshold", "score_window")
 """What an environment's file says of the stopping rule; the trainer's business."""
 
 
+def fill_threshold(config: DictConfig) -> None:
+    """Put the score threshold that gymnasium registers where the configuration has none.
+
+    Raises:
+        ConfigError: if it registers none either.
+    """
+    from trl_explore.lanes import reward_threshold
+
+    if config.score_threshold is not None or not config.env.get("id"):
+        return
+    id = str(config.env.id)
+    threshold = _build("env", lambda: reward_threshold(id))
+    if threshold is None:
+        raise ConfigError(
+            f"score_threshold must be set, e.g. score_threshold=100: gymnasium has none for {id!r}"
+        )
+    config.score_threshold = threshold
+
+
 def build_trainer(config: DictConfig) -> Trainer:
     """Everything that a job needs, built from its configuration.
 
@@ -54,6 +73,7 @@ def build_trainer(config: DictConfig) -> Trainer:
     from trl_explore.trials import Trials
 
     lock_cache()
+    fill_threshold(config)
     for key, (low, high) in INTEGERS.items():
         _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))
     _build(None, lambda: check_number("checkpoint_seconds", config.checkpoint_seconds, 0))

@@ -27,7 +27,7 @@ class Behaviour(NoCorrection):
         >>> Behaviour().actor(None, Argmax())
         Traceback (most recent call last):
         ...
-        ValueError: Behaviour needs probabilities that are differentiable in the logits; ...
+        ValueError: Behaviour needs probabilities differentiable in the logits; Argmax has none
     """
 
     def actor(
@@ -37,8 +37,8 @@ class Behaviour(NoCorrection):
         if strategy is None or not strategy.differentiable:
             name = "no strategy" if strategy is None else type(strategy).__name__
             raise ValueError(
-                f"{type(self).__name__} needs probabilities that are differentiable in the "
-                f"logits; {name} has none"
+                f"{type(self).__name__} needs probabilities differentiable in the "
+                f"{'logits' if isinstance(strategy, Strategy) else 'policy'}; {name} has none"
             )
         if isinstance(strategy, ContinuousStrategy):
             return ContinuousBehaviourActor(actor, strategy)

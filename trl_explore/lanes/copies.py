@@ -45,6 +45,10 @@ class Signals:
             np.ones((n, masked), dtype=np.bool_),
         )
 
+    def every(self, k: int) -> Signals:
+        """A view of the copies 0, k, 2k, ..."""
+        return Signals(*(getattr(self, field.name)[::k] for field in fields(self)))
+
     def rows(self, rows: Rows) -> tuple[NDArray[Any], ...]:
         """The columns of some copies."""
         return tuple(getattr(self, field.name)[rows] for field in fields(self))

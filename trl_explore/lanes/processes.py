@@ -1,4 +1,7 @@
-"""Copies of an environment divided among processes, for environments whose step takes long."""
+"""Copies of an environment divided among processes, for environments whose step takes long.
+
+Threads would not do: Box2D holds the lock of the interpreter while it steps.
+"""
 
 from __future__ import annotations
 
@@ -26,21 +29,35 @@ BOOT = (
 )
 
 
-class ProcessCopies:
-    """``Copies`` of which each of some processes steps a share; the signals are the same.
+class ProcessCopies(Copies):
+    """``Copies`` divided among this process and others; the signals are the same.
 
-    Each copy draws from streams of its own, so nothing depends on where it is stepped.
+    Copy ``row`` lives in process ``row % workers``, number 0 being this one: the copies that still
+    run are then spread evenly when some have stopped. Each copy draws from streams of its own, so
+    that nothing depends on where it is stepped.
 
     Args:
-        id: gymnasium id; what is registered under it is made known to the processes.
+        id: gymnasium id; what is registered under it is made known to the other processes.
         make: the constructor; it is pickled, and called in the processes.
         n: how many copies.
-        workers: how many processes; they are started when they are needed.
+        first: the first copy, if it exists already.
+        workers: how many processes, at most n; they are started when they are needed.
         sizes: number of features, and of actions in a mask.
     """
 
-    def __init__(self, id: str, make: Make, n: int, workers: int, sizes: tuple[int, int]) -> None:
-        self.id, self.make, self.n, self.workers, self.sizes = id, make, n, workers, sizes
+    def __init__(
+        self,
+        id: str,
+        make: Make,
+        n: int,
+        first: gym.Env | None = None,
+        *,
+        workers: int,
+        sizes: tuple[int, int],
+    ) -> None:
+        super().__init__(make, len(range(0, n, workers)), first)
+        self.id, self.workers = id, workers
+        self._shares = [(len(range(k, n, workers)), sizes) for k in range(1, workers)]
         self._processes: list[_Process] = []
 
     def reset(
@@ -67,47 +84,45 @@ class ProcessCopies:
         same: tuple[Any, ...],
         signals: Signals,
     ) -> None:
-        """Call a method in every process that has some of the rows, and gather the signals.
-
-        Copy ``row`` lives in process ``row % workers``: the rows that still run are then spread
-        evenly when some have stopped.
-        """
+        """Call a method in every process that has some of the rows, and gather the signals."""
+        parts = [np.flatnonzero(rows % self.workers == k) for k in range(self.workers)]
+        calls = [(rows[part] // self.workers, *(x[part] for x in each), *same) for part in parts]
         try:
             self._start()
-            asked: list[tuple[_Process, Rows]] = []
-            for k, process in enumerate(self._processes):
-                part = np.flatnonzero(rows % self.workers == k)
-                if len(part):
-                    own = rows[part]
-                    each_own = [column[part] for column in each]
-                    process.send((method, own // self.workers, each_own, same))
-                    asked.append((process, own))
-            for process, own in asked:
-                signals.put(own, process.receive())
+            asked = [k for k in range(1, self.workers) if len(parts[k])]
+            for k in asked:
+                self._processes[k - 1].send((method, calls[k]))
+            getattr(super(), method)(*calls[0], signals.every(self.workers))
+            for k in asked:
+                signals.put(rows[parts[k]], self._processes[k - 1].receive())
         except _FailedError as error:
-            self.close()
+            self._end()
             raise RuntimeError(
                 f"environment {self.id!r} in a process of its own: {error}"
             ) from None
         except BaseException:
-            self.close()  # an answer that nobody waits for would be taken for the next one's
+            self._end()  # an answer that nobody waits for would be taken for the next one's
             raise
 
     def _start(self) -> None:
         """Start the processes that are missing; they get ready side by side."""
-        first = len(self._processes)
+        if self._processes:
+            return
         spec = gym.registry.get(self.id)
-        for k in range(first, self.workers):
-            share = len(range(k, self.n, self.workers))
-            self._processes.append(_Process((spec, self.make, share, self.sizes)))
-        for process in self._processes[first:]:
+        for share in self._shares:
+            self._processes.append(_Process((spec, self.make, *share)))
+        for process in self._processes:
             process.receive()
 
-    def close(self) -> None:
-        """End the processes."""
+    def _end(self) -> None:
         for process in self._processes:
             process.end()
         self._processes = []
+
+    def close(self) -> None:
+        """Close every copy, and end the processes."""
+        super().close()
+        self._end()
 
 
 class _FailedError(Exception):
@@ -125,7 +140,7 @@ class _Process:
 
     def __init__(self, setup: Any) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-c", BOOT, json.dumps(sys.path)],
+            [sys.executable, "-c", BOOT, json.dumps([str(path) for path in sys.path])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,
@@ -212,9 +227,7 @@ class _Share:
         self.copies = Copies(make, n)
         self.signals = Signals.of(n, *sizes)
 
-    def answer(
-        self, method: str, rows: Rows, each: list[NDArray[Any]], same: tuple[Any, ...]
-    ) -> tuple[NDArray[Any], ...]:
+    def answer(self, method: str, call: tuple[Any, ...]) -> tuple[NDArray[Any], ...]:
         """The signals of some copies after a method was called on them."""
-        getattr(self.copies, method)(rows, *each, *same, self.signals)
-        return self.signals.rows(rows)
+        getattr(self.copies, method)(*call, self.signals)
+        return self.signals.rows(call[0])

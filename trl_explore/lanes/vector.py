@@ -21,6 +21,8 @@ from trl_explore.lanes.processes import ProcessCopies
 from trl_explore.streams import Stream, generator
 
 MAX_WORKERS = 256
+MIN_LANES = 4
+"""Lanes for each process below which no further one is started unasked: it would not pay."""
 
 
 class LaneVectorEnv(VectorEnv):
@@ -46,8 +48,8 @@ class LaneVectorEnv(VectorEnv):
         kwargs: arguments of the environment's constructor.
         attributes: see ``make_gym``.
         stream: from which of the trials' streams the environment draws.
-        workers: processes that step the lanes; 1 steps them in this one, None takes as many as
-            there are processors. What the lanes do does not depend on it.
+        workers: processes that step the lanes, this one among them; None takes as many as there
+            are processors. What the lanes do does not depend on it.
 
     Raises:
         ValueError: if an argument is wrong; later, if an observation, a reward or an action is
@@ -95,15 +97,16 @@ class LaneVectorEnv(VectorEnv):
         self.has_masks = masked > 0
         self._signals = Signals.of(num_envs, n_features, masked)
         self._running = np.zeros(num_envs, dtype=np.bool_)
-        self._own = Copies(make, num_envs, env)
-        self._copies: Copies | ProcessCopies = self._own
-        if self.workers > 1:
-            self._copies = ProcessCopies(id, make, num_envs, self.workers, (n_features, masked))
+        if self.workers == 1:
+            self._copies = Copies(make, num_envs, env)
+        else:
+            sizes = (n_features, masked)
+            self._copies = ProcessCopies(id, make, num_envs, env, workers=self.workers, sizes=sizes)
 
     @property
     def envs(self) -> list[gym.Env]:
         """The copies that exist in this process; the first one always does."""
-        return self._own.envs
+        return self._copies.envs
 
     @property
     def running(self) -> NDArray[np.bool_]:
@@ -195,14 +198,13 @@ class LaneVectorEnv(VectorEnv):
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close every lane."""
-        self._own.close()
         self._copies.close()
 
 
 def _workers(workers: int | None, lanes: int) -> int:
     """How many processes step the lanes."""
     if workers is None:
-        workers = processors()
+        return max(1, min(processors(), lanes // MIN_LANES))
     return min(check_integer("workers", workers, 1, MAX_WORKERS), lanes)
 
 

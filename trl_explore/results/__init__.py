@@ -17,6 +17,7 @@ whole. While a job is not finished, its folder also holds ``checkpoint/`` (see
 ``trl_explore.checkpoint``), from which it goes on, and ``.lock`` while a process runs it.
 """
 
+from trl_explore.results.integrity import check_whole
 from trl_explore.results.names import (
     DIAGNOSTIC_COLUMNS,
     EPISODE_COLUMNS,
@@ -53,6 +54,7 @@ __all__ = [
     "TRIALS",
     "TRIAL_COLUMNS",
     "ResultsError",
+    "check_whole",
     "clear",
     "find_folders",
     "find_jobs",

@@ -7,6 +7,7 @@ import os
 import platform
 import shutil
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trl_explore.results.integrity import record
 from trl_explore.results.names import (
     EPISODE_COLUMNS,
     EPISODES,
@@ -103,6 +105,7 @@ def write_job(
         "seconds": seconds,
         "iterations": trials.iteration,
         "threads": _threads(),
+        "files": record(job),
         "config": config,
         "versions": versions(),
         "machine": {"system": platform.system(), "processor": platform.machine()},
@@ -131,8 +134,12 @@ def _write_whole(path: Path, write: Callable[[Path], Any]) -> None:
         write(temporary)
         _sync(temporary)
         temporary.replace(path)
+    except OSError as error:
+        error.filename = str(path)  # a full disk does not say what it is that it has no room for
+        raise
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def _sync(path: Path) -> None:
@@ -193,21 +200,26 @@ def _write_scalars(job: Path, trials: Trials) -> None:
 
     parent = job / ".scalars.tmp"
     shutil.rmtree(parent, ignore_errors=True)  # the logger appends to what it finds
-    logger = CSVLogger(exp_name="curves", log_dir=str(parent))
-    for name, curve in trials.curves().items():
-        for step, value in enumerate(curve.tolist(), start=1):
-            logger.log_scalar(name, value, step=step)
-    for file in (parent / "curves" / "scalars").iterdir():
-        _sync(file)
-    (parent / "curves" / "scalars").replace(job / SCALARS)
-    shutil.rmtree(parent)
+    try:
+        logger = CSVLogger(exp_name="curves", log_dir=str(parent))
+        for name, curve in trials.curves().items():
+            for step, value in enumerate(curve.tolist(), start=1):
+                logger.log_scalar(name, value, step=step)
+        for file in (parent / "curves" / "scalars").iterdir():
+            _sync(file)
+        (parent / "curves" / "scalars").replace(job / SCALARS)
+    except OSError as error:
+        error.filename = str(job / SCALARS)
+        raise
+    finally:
+        shutil.rmtree(parent, ignore_errors=True)
 
 
 def _write_weights(path: Path, weights: Mapping[str, Tensor]) -> None:
-    from safetensors.torch import save_file
+    from safetensors.torch import save
 
     tensors = {name: tensor.detach().contiguous() for name, tensor in weights.items()}
-    _write_whole(path, lambda temporary: save_file(tensors, temporary))
+    _write_whole(path, lambda temporary: temporary.write_bytes(save(tensors)))
 
 
 def write_timings(sweep: Path, timings: pd.DataFrame) -> None:
