@@ -381,7 +381,7 @@ WRONG = {
     "restart=perhaps": "restart must be true or false, got 'perhaps'",
     "~loss.gamma": "'loss.gamma' has been removed",
     "strategy=null": "strategy",
-    "collector=fused env=gym env.id=Acrobot-v1": "no kernel is registered for AcrobotEnv",
+    "collector=fused env=taxi +env.kwargs.fickle_passenger=true": "does not serve fickle_passenger",
     "strategy=thompson": "strategy=thompson",
     "strategy=epsilon_greedy strategy.epsilon=1.5": "in [0, 1], got 1.5",
     "strategy=epsilon_greedy strategy.epsilon=-0.1": "in [0, 1], got -0.1",

@@ -14,7 +14,7 @@ from tensordict.nn import TensorDictSequential
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 from torchrl.modules import RandomPolicy
-from trl_explore.policy import LinearPolicy
+from trl_explore.policies import LinearPolicy
 
 from trl_explore.checks import first_line
 from trl_explore.collectors import FusedCollector, TorchRLCollector
