@@ -7,7 +7,10 @@ BIN := $(VENV)/bin
 READY := $(VENV)/ready
 OUT ?= outputs
 
-.PHONY: help env thesis test lint bench clean
+KILLS ?= 300
+SEED ?= 0
+
+.PHONY: help env thesis test lint bench soak clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -40,6 +43,10 @@ test: lint
 # make bench:  measure the speed, write benchmarks/results.md
 bench: $(READY)
 	$(BIN)/python benchmarks/speed.py
+
+# make soak:   kill a sweep at random instants, KILLS times, and compare every file
+soak: $(READY)
+	$(BIN)/python tests/soak/kill.py --kills $(KILLS) --seed $(SEED)
 
 clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .ruff_cache

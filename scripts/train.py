@@ -47,9 +47,12 @@ def run(config: DictConfig) -> Ended:
     if configuration.is_worker():
         begin_worker()
     try:
-        train(config, folder)
+        try:
+            train(config, folder)
+        except Exception:
+            signals.check()  # it may be what a signal has become on its way
+            raise
     except Exception as error:  # whatever ends a job, the others of the sweep are run
-        signals.check()
         if show_traceback:
             traceback.print_exc()
         line = configuration.describe(error)

@@ -67,7 +67,8 @@ class Saver:
         """
         self._kept = None
         if self.interrupts.pending is not None:
-            self._save(trials.iteration, pack(self.trainer.state_dict()))
+            if trials.iteration > self.saved:
+                self._save(trials.iteration, pack(self.trainer.state_dict()))
             self.interrupts.check()
         now = time.monotonic()
         if now >= self._due:

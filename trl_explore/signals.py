@@ -20,6 +20,7 @@ WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGH
 
 
 _received: list[Interrupted] = []
+"""The signals that have come since the program began to serve them."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -44,8 +45,21 @@ def raise_on_signals() -> None:
         _received.append(Interrupted(signum))
         raise _received[0]
 
+    _received.clear()
+    sys.unraisablehook = _lost
     for signum in _served():
         signal.signal(signum, handle)
+
+
+def _lost(event: sys.UnraisableHookArgs) -> None:
+    """What was raised in a destructor goes no further: end the process here, without a word of it.
+
+    Within a job the exception comes again, at the next boundary or by the timer.
+    """
+    if not isinstance(event.exc_value, Interrupted):
+        sys.__unraisablehook__(event)
+    elif not Interrupts.serving:
+        leave(event.exc_value)
 
 
 def check() -> None:
@@ -98,6 +112,9 @@ class Interrupts:
         tidy: called before the process is ended at the beginning.
     """
 
+    serving = False
+    """Whether a job is served at present."""
+
     def __init__(self, tidy: Callable[[], None]) -> None:
         self.tidy = tidy
         self.pending: Interrupted | None = None
@@ -112,6 +129,7 @@ class Interrupts:
             signal.signal(signum, self._handle)
         if served:
             self._before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._alarm)
+        Interrupts.serving = bool(served)
         return self
 
     def __exit__(
@@ -120,9 +138,13 @@ class Interrupts:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self._stop_timer()
+        Interrupts.serving = False
         for signum, handler in self._before.items():
+            if signum == signal.SIGALRM:  # the last: nobody sets the timer any more
+                self._stop_timer()
             signal.signal(signum, handler)
+        if kind is None:
+            self.check()
 
     def _handle(self, signum: int, frame: FrameType | None) -> None:
         if self.pending is not None:

@@ -7,6 +7,7 @@ import os
 import platform
 import shutil
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -133,8 +134,12 @@ def _write_whole(path: Path, write: Callable[[Path], Any]) -> None:
         write(temporary)
         _sync(temporary)
         temporary.replace(path)
+    except OSError as error:
+        error.filename = str(path)  # a full disk does not say what it is that it has no room for
+        raise
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def _sync(path: Path) -> None:
@@ -195,21 +200,26 @@ def _write_scalars(job: Path, trials: Trials) -> None:
 
     parent = job / ".scalars.tmp"
     shutil.rmtree(parent, ignore_errors=True)  # the logger appends to what it finds
-    logger = CSVLogger(exp_name="curves", log_dir=str(parent))
-    for name, curve in trials.curves().items():
-        for step, value in enumerate(curve.tolist(), start=1):
-            logger.log_scalar(name, value, step=step)
-    for file in (parent / "curves" / "scalars").iterdir():
-        _sync(file)
-    (parent / "curves" / "scalars").replace(job / SCALARS)
-    shutil.rmtree(parent)
+    try:
+        logger = CSVLogger(exp_name="curves", log_dir=str(parent))
+        for name, curve in trials.curves().items():
+            for step, value in enumerate(curve.tolist(), start=1):
+                logger.log_scalar(name, value, step=step)
+        for file in (parent / "curves" / "scalars").iterdir():
+            _sync(file)
+        (parent / "curves" / "scalars").replace(job / SCALARS)
+    except OSError as error:
+        error.filename = str(job / SCALARS)
+        raise
+    finally:
+        shutil.rmtree(parent, ignore_errors=True)
 
 
 def _write_weights(path: Path, weights: Mapping[str, Tensor]) -> None:
-    from safetensors.torch import save_file
+    from safetensors.torch import save
 
     tensors = {name: tensor.detach().contiguous() for name, tensor in weights.items()}
-    _write_whole(path, lambda temporary: save_file(tensors, temporary))
+    _write_whole(path, lambda temporary: temporary.write_bytes(save(tensors)))
 
 
 def write_timings(sweep: Path, timings: pd.DataFrame) -> None:
