@@ -14,12 +14,9 @@ from torchrl.modules import ProbabilisticActor
 
 from trl_explore.actor import frame_distribution
 from trl_explore.episodes import Episodes
+from trl_explore.results.names import DIAGNOSTIC_COLUMNS as COLUMNS
 from trl_explore.strategies import BaseStrategy, Strategy
 
-COLUMNS = (
-    "entropy_policy", "entropy_behaviour", "kl", "ratio_mean", "effective_sample_size",
-    "exploratory", "greedy_share", "coverage", "gradient_norm",
-)  # fmt: skip
 CELL = 0.1
 """The width of the cells of a continuous observation, in its own units."""
 

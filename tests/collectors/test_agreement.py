@@ -35,7 +35,7 @@ def env_file(name: str, **changes) -> dict:
 # Episodes of the slower ones are cut, and fewer: whole ones are compared further down.
 ENVS = {
     "cartpole": env_file("cartpole"),
-    "cartpole_15": env_file("cartpole_15"),
+    "cartpole_15": env_file("cartpole_15", max_steps=100),
     "frozenlake8x8": env_file("frozenlake8x8"),
     "short": env_file("cartpole", max_steps=12),
     "frozenlake": env_file("frozenlake", max_steps=40),

@@ -71,7 +71,8 @@ def test_attributes_reach_the_processes():
 
 
 def test_how_many_processes():
-    assert LaneVectorEnv("CartPole-v1", 500, workers=None).workers == min(500, processors())
+    assert LaneVectorEnv("CartPole-v1", 500, workers=None).workers == min(125, processors())
+    assert LaneVectorEnv("CartPole-v1", 7, workers=None).workers == 1  # too few to divide
     assert LaneVectorEnv("CartPole-v1", 3, workers=7).workers == 3
     assert LaneVectorEnv("CartPole-v1", 3).workers == 1
     assert 1 <= processors() <= os.cpu_count()

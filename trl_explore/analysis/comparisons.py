@@ -152,7 +152,24 @@ def compare_all(
     if len(set(names)) < len(names):
         twice = next(name for i, name in enumerate(names) if name in names[:i])
         raise ValueError(f"two configurations are named {twice!r}: a table needs unique names")
-    pairs = list(combinations(configurations, 2))
+    return compare_pairs(
+        list(combinations(configurations, 2)), rng, level=level, resamples=resamples
+    )
+
+
+def compare_pairs(
+    pairs: Sequence[tuple[Outcomes, Outcomes]],
+    rng: np.random.Generator,
+    *,
+    level: float = LEVEL,
+    resamples: int = RESAMPLES,
+) -> list[Comparison]:
+    """Those pairs that were planned, with ``p_holm`` over them and no others.
+
+    Raises:
+        ValueError: as :func:`compare`.
+
+    """
     rngs = streams(rng, [f"{a.name} | {b.name}" for a, b in pairs])
     table = [
         compare(a, b, rngs[f"{a.name} | {b.name}"], level=level, resamples=resamples)

@@ -20,7 +20,11 @@ from trl_explore.analysis.outcomes import Outcomes
 
 # The groups of a configuration that shape the learning of an agent. Where and how it was run,
 # how many trials, and when it was stopped do not make it another agent.
-AGENT_GROUPS = ("env", "policy", "loss", "optimizer", "episodes_per_update")
+AGENT_GROUPS = (
+    "env", "policy", "loss", "correction", "baseline", "optimizer", "episodes_per_update",
+)  # fmt: skip
+# Environments come with a proposal for the stopping rule, which is not part of the agent.
+STOPPING = ("score_threshold", "score_window", "max_iterations")
 PER_TRIAL = ("trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status")
 
 
@@ -40,6 +44,8 @@ def configuration_key(outcomes: Outcomes) -> str:
     thresholds do not enter: a trial stopped later is still the same trial.
     """
     groups = {key: outcomes.config[key] for key in AGENT_GROUPS if key in outcomes.config}
+    if isinstance(env := groups.get("env"), Mapping):
+        groups["env"] = {key: value for key, value in env.items() if key not in STOPPING}
     content = [outcomes.strategy, _canonical(outcomes.parameters), _canonical(groups)]
     return json.dumps(content, sort_keys=True, default=str)
 

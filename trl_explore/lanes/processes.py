@@ -1,4 +1,7 @@
-"""Copies of an environment divided among processes, for environments whose step takes long."""
+"""Copies of an environment divided among processes, for environments whose step takes long.
+
+Threads would not do: Box2D holds the lock of the interpreter while it steps.
+"""
 
 from __future__ import annotations
 

@@ -21,6 +21,8 @@ from trl_explore.lanes.processes import ProcessCopies
 from trl_explore.streams import Stream, generator
 
 MAX_WORKERS = 256
+MIN_LANES = 4
+"""Lanes for each process below which no further one is started unasked: it would not pay."""
 
 
 class LaneVectorEnv(VectorEnv):
@@ -202,7 +204,7 @@ class LaneVectorEnv(VectorEnv):
 def _workers(workers: int | None, lanes: int) -> int:
     """How many processes step the lanes."""
     if workers is None:
-        workers = processors()
+        return max(1, min(processors(), lanes // MIN_LANES))
     return min(check_integer("workers", workers, 1, MAX_WORKERS), lanes)
 
 

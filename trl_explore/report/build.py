@@ -19,6 +19,7 @@ from trl_explore.report.results_tables import (
     summary_table,
 )
 from trl_explore.report.tables import Table
+from trl_explore.report.why import why_tables
 from trl_explore.results import ResultsError
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
@@ -53,6 +54,7 @@ def build_report(
         claims=claims_table(evidence.checked),
         jobs=jobs_table(evidence),
         gaps=gaps_table(evidence),
+        why=why_tables(evidence),
     )
     html = page(content)
     _clear(out)
@@ -61,7 +63,7 @@ def build_report(
             _write(out / FIGURES / f"{figure.id}.svg", figure.svg)
             _fresh(out / FIGURES / f"{figure.id}.png").write_bytes(figure.png)
     for table in [
-        content.claims, content.jobs, content.gaps, *(t for part in tables.values() for t in part)
+        content.claims, content.jobs, content.gaps, *content.why, *(t for part in tables.values() for t in part)
     ]:  # fmt: skip
         _write_table(out / TABLES, table)
     _write(out / PAGE, html)

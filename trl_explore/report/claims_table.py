@@ -12,8 +12,22 @@ from trl_explore.report.tables import Column, Table
 PLURAL = {"holds": "hold", "does not hold": "do not hold"}
 
 
-def claims_table(checked: Sequence[Checked]) -> Table:
-    """One row per statement: verdict, evidence, and how many trials would settle it."""
+def claims_table(
+    checked: Sequence[Checked],
+    *,
+    id: str = "claims",
+    title: str = "The thesis's statements",
+    said: str = "the thesis says",
+) -> Table:
+    """One row per statement: verdict, evidence, and how many trials would settle it.
+
+    Args:
+        checked: statements with their findings.
+        id: of the table.
+        title: of the table.
+        said: title of the column of statements.
+
+    """
     records = [
         {
             "id": c.claim.id,
@@ -33,14 +47,14 @@ def claims_table(checked: Sequence[Checked]) -> Table:
             lambda r: r["verdict"],
             css=lambda r: "verdict " + r["verdict"].replace(" ", "-"),
         ),
-        Column("statement", "the thesis says", lambda r: f"{r['statement']}\n({r['place']})",
+        Column("statement", said, lambda r: f"{r['statement']}\n({r['place']})",
                wide=True),
         Column("definition", "taken to mean", lambda r: r["definition"], wide=True),
         Column("evidence", "evidence", lambda r: r["evidence"], wide=True),
         Column("trials_needed", "trials to settle it",
                lambda r: "" if r["trials_needed"] is None else f"{r['trials_needed']:,}", True),
     ]  # fmt: skip
-    return Table("claims", "The thesis's statements", columns, records, main=True)
+    return Table(id, title, columns, records, main=True)
 
 
 def tally(checked: Sequence[Checked]) -> dict[str, int]:

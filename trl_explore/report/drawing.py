@@ -33,7 +33,8 @@ def _lines(label: str, width: int = 21) -> int:
 Values = Callable[[Outcomes], tuple[Outcomes, np.ndarray]]
 
 
-def _figure(height: float) -> Figure:
+def new_figure(height: float) -> Figure:
+    """An empty figure of the report's width and a height in inches."""
     figure = Figure(figsize=(WIDTH, height))
     figure.set_layout_engine("constrained", w_pad=0.06, h_pad=0.06)
     return figure
@@ -55,7 +56,7 @@ def draw_trials(
             rows.append(
                 trials.Row(group.short(c.name), numbers, shown.status, group.styles[c.name])
             )
-    figure = _figure(1.3 + sum(max(0.42, 0.17 * _lines(row.label)) for row in rows))
+    figure = new_figure(1.3 + sum(max(0.42, 0.17 * _lines(row.label)) for row in rows))
     trials.plot_trials(
         figure.subplots(),
         rows,
@@ -109,7 +110,7 @@ def draw_survival(group: Group, unit: str) -> Figure:
         curve = kaplan_meier(durations, converged)
         rows.append(survival.Row(group.labels[c.name], curve, durations, group.styles[c.name]))
     below = 0.19 * (len(rows) * max(0.8 * _lines(row.label) + 0.2 for row in rows) + 1.2)
-    figure = _figure(3.1 + below)
+    figure = new_figure(3.1 + below)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.6, below])
     upper.tick_params(labelbottom=True)
     survival.plot_survival(upper, rows, time="iterations" if unit == "iterations" else "frames")
@@ -123,7 +124,7 @@ def draw_learning(evidence: GroupEvidence) -> Figure:
     """One panel per configuration, all on the same axes."""
     rows, columns = evidence.learning, min(PANELS_PER_ROW, len(evidence.learning))
     lines = math.ceil(len(rows) / columns)
-    figure = _figure(1.0 + (1.5 + 0.15 * max(_lines(r.label, 28) for r in rows)) * lines)
+    figure = new_figure(1.0 + (1.5 + 0.15 * max(_lines(r.label, 28) for r in rows)) * lines)
     panels = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for k, panel in enumerate(panels.ravel()):
         if k >= len(rows):
@@ -148,7 +149,7 @@ def oriented(comparison: Comparison) -> tuple[str, str, Estimate]:
 def shown_pairs(evidence: GroupEvidence) -> list[Comparison]:
     """The comparisons of the forest plot: all of them, or those with the fastest."""
     table = evidence.comparisons
-    if len(table) <= MOST_PAIRS:
+    if len(table) <= MOST_PAIRS or evidence.group.crossed is not None:
         return table
     best = min(evidence.group.configurations, key=lambda c: float(c.durations.mean())).name
     return [c for c in table if best in (c.a, c.b)]
@@ -157,13 +158,15 @@ def shown_pairs(evidence: GroupEvidence) -> list[Comparison]:
 def draw_forest(evidence: GroupEvidence) -> Figure:
     """All pairs, the largest difference on top."""
     labels, looks = evidence.group.labels, evidence.group.styles
+    layout = evidence.group.crossed
+    rest = {n: layout.options[o] for (_, o), n in layout.cells.items()} if layout else labels
     rows = []
     for comparison in shown_pairs(evidence):
         first, second, difference = oriented(comparison)
         told_apart = comparison.winner is not None
-        rows.append(forest.Row(labels[first], labels[second], difference, told_apart, looks[first]))
+        rows.append(forest.Row(labels[first], rest[second], difference, told_apart, looks[first]))
     rows.sort(key=lambda row: -row.difference.value)
-    figure = _figure(1.15 + sum(0.215 + 0.13 * forest.pair_label(r).count("\n") for r in rows))
+    figure = new_figure(1.15 + sum(0.215 + 0.13 * forest.pair_label(r).count("\n") for r in rows))
     forest.plot_forest(figure.subplots(), rows, unit="iterations")
     return figure
 
@@ -187,7 +190,7 @@ def strict_level(evidence: GroupEvidence) -> float:
 
 def draw_power(evidence: GroupEvidence) -> Figure:
     """The power figure at the level that the correction leaves to one pair."""
-    figure = _figure(3.4)
+    figure = new_figure(3.4)
     n = min(min(c.n_a, c.n_b) for c in evidence.comparisons)
     power.plot_power(
         figure.subplots(), power_pairs(evidence), trials=n, level=strict_level(evidence)
@@ -208,7 +211,7 @@ def decay_rates(group: Group) -> dict[float, str]:
 def draw_epsilon(group: Group) -> Figure:
     """ε by iteration for the decay rates of a group; the thesis's 0.99 is thick."""
     rates = decay_rates(group)
-    figure = _figure(3.2)
+    figure = new_figure(3.2)
     ax: Axes = figure.subplots()
     looks = [group.styles[name] for name in rates.values()]
     plot_epsilon(ax, list(rates), looks, iterations=min(group.cap, 600), emphasised=0.99)

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from trl_explore.analysis.answer import answer
 from trl_explore.analysis.bootstrap import RESAMPLES, streams
-from trl_explore.analysis.claims import Checked, Study, check_claims
-from trl_explore.analysis.comparisons import Comparison, compare_all
+from trl_explore.analysis.claims import Checked, Study, check_claims, why
+from trl_explore.analysis.comparisons import Comparison, compare_all, compare_pairs
+from trl_explore.analysis.effects import option_sentences, plane_sentences
 from trl_explore.analysis.estimates import LEVEL
 from trl_explore.analysis.outcomes import Outcomes
 from trl_explore.analysis.pairing import SharedTrials, shared_trials
 from trl_explore.analysis.summary import Summary, summarise_all
-from trl_explore.report.curves import learning_rows
+from trl_explore.report.curves import Traces, read_traces
 from trl_explore.report.figures import learning
 from trl_explore.report.groups import Group, group_jobs
 from trl_explore.report.labels import readable
@@ -24,32 +26,49 @@ from trl_explore.report.loading import Gap, Loaded
 SEED = 20170101
 """Of every bootstrap and permutation of a report, so that it is the same when made twice."""
 FEWER_RESAMPLES, MANY_DRAWS = 1999, 3_000_000_000
+WHY = ("corrections", "corrections_temperature")
+"""The experiments that tell why."""
 
 
 @dataclass(frozen=True, eq=False)
 class GroupEvidence:
     """What was computed for one group; ``sentences``: who is fastest, which differences are real.
 
-    ``comparisons`` is empty, with the reason in ``incomparable``, where nothing can be compared.
+    ``comparisons`` is empty, with the reason in ``incomparable``, where nothing can be compared;
+    where configurations are crossed or a plane, it holds the planned pairs only.
     """
 
     group: Group
     summaries: list[Summary]
     comparisons: list[Comparison]
     incomparable: str
-    sentences: tuple[str, str]
-    learning: list[learning.Row]
+    sentences: tuple[str, ...]
+    traces: Traces
     level: float
     resamples: int
+
+    @property
+    def learning(self) -> list[learning.Row]:
+        """The learning curves, in the order of the configurations that have one."""
+        return self.traces.learning
+
+    def summary(self, name: str) -> Summary:
+        """The statistics of a configuration."""
+        return next(s for s in self.summaries if s.name == name)
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the report shows; ``answer`` is three sentences, the main group comes first."""
+    """What the report shows; ``answer`` is a few sentences, the main group comes first.
+
+    ``reexamined`` and ``causes`` are empty where no corrections were run.
+    """
 
     groups: list[GroupEvidence]
     checked: list[Checked]
-    answer: tuple[str, str, str]
+    reexamined: list[why.Reexamined]
+    causes: list[Checked]
+    answer: tuple[str, ...]
     shared: list[SharedTrials]
     gaps: list[Gap]
     outcomes: list[Outcomes]
@@ -64,7 +83,8 @@ class Evidence:
 def gather(loaded: Loaded, *, level: float = LEVEL, resamples: int = RESAMPLES) -> Evidence:
     """Compute everything; each part has a random stream of its own, named after it."""
     groups = group_jobs(loaded.jobs)
-    rngs = streams(np.random.default_rng(SEED), ["claims", *(g.id for g in groups)])
+    labels = ["claims", "why", "why: uncorrected", "why: corrected", *(g.id for g in groups)]
+    rngs = streams(np.random.default_rng(SEED), labels)
     gaps = list(loaded.gaps)
     parts = [_group_evidence(g, rngs[g.id], level, resamples, gaps) for g in groups]
     outcomes = [job.outcomes for job in loaded.jobs]
@@ -77,16 +97,31 @@ def gather(loaded: Loaded, *, level: float = LEVEL, resamples: int = RESAMPLES) 
         resamples=resamples,
     )
     checked = check_claims(study, rngs["claims"])
-    main = parts[0]
-    sentences = answer(
-        main.group.configurations, main.comparisons, checked, labels=main.group.labels
+    reexamined, causes = _why(study, rngs)
+    last = answer([], [], checked)[2]
+    return Evidence(
+        groups=parts,
+        checked=checked,
+        reexamined=reexamined,
+        causes=causes,
+        answer=(*parts[0].sentences, readable(last)),
+        shared=shared_trials(outcomes),
+        gaps=gaps,
+        outcomes=outcomes,
     )
-    return Evidence(parts, checked, _clean(sentences), shared_trials(outcomes), gaps, outcomes)
 
 
-def _clean(sentences: Sequence[str]) -> tuple[str, str, str]:
-    first, second, third = (readable(s) for s in sentences)
-    return first, second, third
+def _why(
+    study: Study, rngs: Mapping[str, np.random.Generator]
+) -> tuple[list[why.Reexamined], list[Checked]]:
+    if not any(o.experiment in WHY for o in study.outcomes):
+        return [], []
+    names = [claim.id for claim in why.CONCLUSIONS]
+    plain, corrected = (
+        list(streams(rngs[f"why: {which}"], names).values())
+        for which in ("uncorrected", "corrected")
+    )
+    return why.reexamine(study, plain, corrected), check_claims(study, rngs["why"], why.CLAIMS)
 
 
 def _group_evidence(
@@ -94,20 +129,23 @@ def _group_evidence(
 ) -> GroupEvidence:
     configurations = group.configurations
     n, trials = len(configurations), max(len(c) for c in configurations)
-    if n * (n - 1) / 2 * trials * resamples > MANY_DRAWS:
+    planned = _planned(group)
+    pairs = n * (n - 1) / 2 if planned is None else len(planned)
+    if pairs * trials * resamples > MANY_DRAWS:
         resamples = min(resamples, FEWER_RESAMPLES)
     rngs = streams(rng, ["summaries", "comparisons"])
     comparisons: list[Comparison] = []
     incomparable = "" if n > 1 else "there is only one configuration"
+    options: dict[str, Any] = {"level": level, "resamples": resamples}
     try:
-        comparisons = compare_all(
-            configurations, rngs["comparisons"], level=level, resamples=resamples
-        )
+        if planned is None:
+            comparisons = compare_all(configurations, rngs["comparisons"], **options)
+        else:
+            comparisons = compare_pairs(planned, rngs["comparisons"], **options)
     except ValueError as error:
         incomparable = str(error)
-    rows, missing = learning_rows(group)
-    gaps.extend(missing)
-    sentences = answer(configurations, comparisons, [], labels=group.labels)[:2]
+    traces = Traces() if group.plane is not None else read_traces(group)
+    gaps.extend(traces.gaps)
     return GroupEvidence(
         group=group,
         summaries=summarise_all(
@@ -115,8 +153,29 @@ def _group_evidence(
         ),
         comparisons=comparisons,
         incomparable=incomparable,
-        sentences=(readable(sentences[0]), readable(sentences[1])),
-        learning=rows,
+        sentences=tuple(map(readable, _sentences(group, comparisons, level))),
+        traces=traces,
         level=level,
         resamples=resamples,
     )
+
+
+def _planned(group: Group) -> list[tuple[Outcomes, Outcomes]] | None:
+    """The pairs that the layout of a group asks about; None: all pairs."""
+    layout = group.crossed or group.plane
+    if layout is None:
+        return None
+    by_name = {c.name: c for c in group.configurations}
+    return [(by_name[a], by_name[b]) for a, b in layout.pairs()]
+
+
+def _sentences(
+    group: Group, comparisons: Sequence[Comparison], level: float
+) -> tuple[str, ...]:
+    if group.plane is not None:
+        return plane_sentences(group.configurations, comparisons, group.labels, level)
+    if group.crossed is not None and comparisons:
+        rows, options = group.crossed.rows, group.crossed.options
+        cells = {name: (rows[r], options[o]) for (r, o), name in group.crossed.cells.items()}
+        return option_sentences(comparisons, cells)
+    return answer(group.configurations, comparisons, [], labels=group.labels)[:2]

@@ -7,17 +7,25 @@ from dataclasses import dataclass, replace
 
 from trl_explore.analysis.outcomes import Outcomes
 from trl_explore.analysis.pairing import configuration_key, deduplicate, pool
+from trl_explore.report.designs import Crossed, Plane, crossed, plane
 from trl_explore.report.labels import (
     EXPERIMENTS,
     configuration_labels,
     natural_order,
     strategy_label,
     swept_parameter,
+    swept_parameters,
+    symbol,
 )
 from trl_explore.report.loading import Job, Timing
-from trl_explore.report.style import Style, styles
+from trl_explore.report.style import Style, option_styles, styles
 
-GRIDS = ("epsilon_grid", "decay_grid")
+GRIDS = ("epsilon_grid", "decay_grid", "temperature_grid")
+ORDER = (
+    "thesis", "corrections", "corrections_temperature", "", "epsilon_grid", "decay_grid",
+    "temperature_grid", "mixture_plane", "baselines", "baselines_batch", "deep_policy",
+)  # fmt: skip
+"""Of the experiments in a report; those without a place stand at the empty one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +45,8 @@ class Group:
         styles: name of a configuration -> how it looks.
         jobs: name of a configuration -> the jobs that its trials come from.
         parameter: the one parameter in which the configurations differ, if there is one.
+        crossed: their layout, where rows are crossed with the options of a group.
+        plane: their layout, where they differ in two numbers.
 
     """
 
@@ -52,10 +62,12 @@ class Group:
     styles: dict[str, Style]
     jobs: dict[str, list[Job]]
     parameter: str | None
+    crossed: Crossed | None = None
+    plane: Plane | None = None
 
     @property
     def is_grid(self) -> bool:
-        """Whether it is one of the thesis's two grids."""
+        """Whether it is a grid over one parameter, as the thesis has two."""
         return self.experiment in GRIDS
 
     def short(self, name: str) -> str:
@@ -89,7 +101,7 @@ def _id(experiment: str) -> str:
 
 
 def _rank(experiment: str) -> int:
-    return {"thesis": 0, "epsilon_grid": 2, "decay_grid": 3}.get(experiment, 1)
+    return ORDER.index(experiment if experiment in ORDER else "")
 
 
 def _environment(o: Outcomes) -> str:
@@ -113,7 +125,13 @@ def _group(name: str, jobs: list[Job]) -> Group:
     }
     ordered = natural_order(pooled)
     first = ordered[0]
-    looks = styles([c.strategy for c in ordered])
+    layout = crossed(ordered)
+    if layout is None:
+        looks = dict(zip((c.name for c in ordered), styles([c.strategy for c in ordered]),
+                         strict=True))  # fmt: skip
+    else:
+        options = option_styles(len(layout.options))
+        looks = {name: options[option] for (_, option), name in layout.cells.items()}
     return Group(
         id=name,
         title=_title(first.experiment, ordered),
@@ -124,9 +142,11 @@ def _group(name: str, jobs: list[Job]) -> Group:
         environment=_environment(first),
         configurations=ordered,
         labels=configuration_labels(ordered),
-        styles={c.name: look for c, look in zip(ordered, looks, strict=True)},
+        styles=looks,
         jobs=by_name,
         parameter=swept_parameter(ordered),
+        crossed=layout,
+        plane=plane(ordered),
     )
 
 
@@ -137,6 +157,6 @@ def _title(experiment: str, configurations: Sequence[Outcomes]) -> str:
     if experiment in EXPERIMENTS:
         return EXPERIMENTS[experiment]
     named = ", ".join(map(strategy_label, strategies[:4])) + (", …" if len(strategies) > 4 else "")
-    parameter = swept_parameter(configurations)
-    what = f"{named}: values of {parameter}" if parameter else named
+    swept = " and ".join(map(symbol, swept_parameters(configurations)))
+    what = f"{named}: values of {swept}" if swept else named
     return what if experiment == "train" else f"{experiment}: {what}"

@@ -6,8 +6,9 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from trl_explore.analysis.choices import NAMES, choice_name
 from trl_explore.analysis.outcomes import Outcomes
-from trl_explore.analysis.pairing import AGENT_GROUPS
+from trl_explore.analysis.pairing import AGENT_GROUPS, STOPPING
 
 STRATEGIES = {
     "random": "random",
@@ -32,6 +33,15 @@ EXPERIMENTS = {
     "thesis": "The five strategies",
     "epsilon_grid": "The choice of ε",
     "decay_grid": "The choice of the decay rate",
+    "temperature_grid": "The choice of the temperature",
+    "corrections": "Strategies and corrections",
+    "corrections_temperature": "Temperatures and corrections",
+    "baselines": "Baselines",
+    "baselines_batch": "Baselines, with four episodes per update",
+    "mixture_plane": "The plane of ε and temperature",
+    "deep_policy": "Linear and deeper policies",
+    "frozenlake": "FrozenLake",
+    "debug": "A trial of the program",
 }
 
 
@@ -59,59 +69,119 @@ def configuration_labels(configurations: Sequence[Outcomes]) -> dict[str, str]:
     """Map the name of every configuration to a short label that tells it from the others.
 
     The strategy, where there are several, and what differs between configurations of the same
-    strategy: ``ε-greedy``, ``softmax, T = 0.5``; of one strategy alone only ``T = 0.5``.
-    Configurations that this would not tell apart keep their names.
+    strategy: ``ε-greedy``, ``softmax, T = 0.5``, ``softmax, per-step ratio``; of one strategy
+    alone only ``T = 0.5``. Configurations that this would not tell apart keep their names.
     """
-    several = len({c.strategy for c in configurations}) > 1
-    values = {c.name: _flat(c) for c in configurations}
-    labels = {}
-    for c in configurations:
-        siblings = [values[o.name] for o in configurations if o.strategy == c.strategy]
-        keys = _varying(siblings)
-        own = values[c.name]
-        parts = [f"{_symbol(k)} = {_value(own[k])}" for k in keys if k in own]
-        if several or not parts:
-            parts.insert(0, strategy_label(c.strategy))
-        labels[c.name] = ", ".join(parts)
+    parts = label_parts(configurations)
+    labels = {
+        c.name: ", ".join(parts[c.name].values()) or strategy_label(c.strategy)
+        for c in configurations
+    }
     clear = len(set(labels.values())) == len(labels) and max(map(len, labels.values()), default=0)
     return labels if clear and clear <= 60 else {c.name: c.name for c in configurations}
 
 
+def label_parts(configurations: Sequence[Outcomes]) -> dict[str, dict[str, str]]:
+    """Map the name of every configuration to what its label is made of: factor -> words.
+
+    The factors are ``strategy`` (where there are several), the keys of parameters, and groups of
+    the configuration (``correction``).
+    """
+    several = len({c.strategy for c in configurations}) > 1
+    values = {c.name: _flat(c) for c in configurations}
+    parts = {}
+    for c in configurations:
+        own = values[c.name]
+        keys = _varying([values[o.name] for o in configurations if o.strategy == c.strategy])
+        words = {"strategy": strategy_label(c.strategy)} if several else {}
+        for key in keys:
+            if key in own and not (key == "baseline.value" and "baseline._target_" in keys):
+                words[key.removesuffix("._target_")] = _words(key, own)
+        parts[c.name] = words
+    return parts
+
+
+def _words(key: str, flat: Mapping[str, Any]) -> str:
+    """One factor of a label: the name of an option, or a parameter and its value."""
+    group, value = key.removesuffix("._target_"), flat[key]
+    if key.endswith("._target_") and group in NAMES:
+        name = str(value).rsplit(".", 1)[-1]
+        if name == "Constant" and flat.get("baseline.value"):
+            return f"baseline {_value(flat['baseline.value'])}"
+        if name in NAMES[group]:
+            return choice_name(name, group)
+    return f"{symbol(key)} = {_value(value)}"
+
+
+def swept_parameters(configurations: Sequence[Outcomes]) -> list[str]:
+    """The parameters in which configurations of one strategy differ, as keys.
+
+    Empty where there are several strategies, or fewer than two configurations.
+    """
+    if len({c.strategy for c in configurations}) != 1 or len(configurations) < 2:
+        return []
+    return _varying([_flat(c) for c in configurations])
+
+
 def swept_parameter(configurations: Sequence[Outcomes]) -> str | None:
     """The one parameter in which configurations of one strategy differ, as readers call it."""
-    if len({c.strategy for c in configurations}) != 1 or len(configurations) < 2:
-        return None
-    keys = _varying([_flat(c) for c in configurations])
-    return _symbol(keys[0]) if len(keys) == 1 else None
+    keys = swept_parameters(configurations)
+    return symbol(keys[0]) if len(keys) == 1 else None
 
 
 def natural_order(configurations: Sequence[Outcomes]) -> list[Outcomes]:
-    """Strategies in the order of the thesis, others by name; numbers of a grid ascending."""
+    """Strategies in the order of the thesis, others by name; numbers of a grid ascending.
+
+    Options of a group come last, that of the thesis first among them.
+    """
     known = list(STRATEGIES)
 
     def key(c: Outcomes) -> tuple[Any, ...]:
         place = known.index(c.strategy) if c.strategy in known else len(known)
-        flat = sorted(_flat(c).items())
-        numbers = [(k, float(v), "") if _is_number(v) else (k, 0.0, repr(v)) for k, v in flat]
+        flat = sorted(_flat(c).items(), key=lambda item: (_is_group(item[0]), item[0]))
+        numbers = [(k, _rank(k, v), "" if _is_number(v) else repr(v)) for k, v in flat]
         return place, c.strategy, numbers, c.name
 
     return sorted(configurations, key=key)
 
 
+def _is_group(key: str) -> bool:
+    return key.split(".")[0] in AGENT_GROUPS
+
+
+def _rank(key: str, value: Any) -> float:
+    if _is_number(value):
+        return float(value)
+    names = list(NAMES.get(key.removesuffix("._target_"), ()))
+    name = str(value).rsplit(".", 1)[-1]
+    return float(names.index(name)) if name in names else float(len(names))
+
+
 def _varying(flats: Sequence[Mapping[str, Any]]) -> list[str]:
     """The keys in which configurations differ.
 
-    Of keys that vary together, as where the weight of the loss follows the learning rate, only
-    one is named, and not that of the loss.
+    The arguments of a class differ only among configurations that have this class. Of keys that
+    vary together, as where the weight of the loss follows the learning rate, only one is named,
+    and not that of the loss.
     """
     keys = dict.fromkeys(k for flat in flats for k in flat)
     patterns: dict[tuple[int, ...], str] = {}
     for key in sorted(keys, key=lambda k: k.split(".")[0] == "loss"):
+        if not _varies(key, flats):
+            continue
         seen: dict[str, int] = {}
         pattern = tuple(seen.setdefault(repr(f.get(key)), len(seen)) for f in flats)
-        if len(seen) > 1:
-            patterns.setdefault(pattern, key)
+        patterns.setdefault(pattern, key)
     return list(patterns.values())
+
+
+def _varies(key: str, flats: Sequence[Mapping[str, Any]]) -> bool:
+    target = f"{key.rpartition('.')[0]}._target_"
+    values: dict[Any, set[str]] = {}
+    for flat in flats:
+        of = flat.get(target) if target != key else None
+        values.setdefault(of, set()).add(repr(flat.get(key)))
+    return any(len(found) > 1 for found in values.values())
 
 
 def _flat(c: Outcomes) -> dict[str, Any]:
@@ -127,15 +197,22 @@ def _flat(c: Outcomes) -> dict[str, Any]:
     walk("", c.parameters)
     for group in AGENT_GROUPS:
         walk(group, c.config.get(group, {}))
-    return {k: v for k, v in flat.items() if not k.endswith("_partial_")}
+    stopping = {f"env.{key}" for key in STOPPING}
+    return {k: v for k, v in flat.items() if not k.endswith("_partial_") and k not in stopping}
 
 
-def _symbol(key: str) -> str:
+def symbol(key: str) -> str:
+    """What readers call a parameter or a group: ``temperature`` is T.
+
+    >>> symbol("correction._target_")
+    'correction'
+    """
     last = key.rsplit(".", 1)[-1].strip("_").replace("_", " ")
-    parameter = SYMBOLS.get(key.split(".", 1)[0], key.split(".", 1)[0])
-    if key in SYMBOLS or last == "target":
+    first = key.split(".", 1)[0]
+    parameter = SYMBOLS.get(first, first.replace("_", " "))
+    if key in SYMBOLS or last == "target" or key == "baseline.value":
         return parameter
-    return f"{last} {parameter}" if key.split(".", 1)[0] in SYMBOLS else last
+    return f"{last} {parameter}" if first in SYMBOLS else last
 
 
 def _value(value: Any) -> str:

@@ -8,7 +8,7 @@ from html import escape
 from importlib.metadata import version
 from importlib.resources import files
 
-from trl_explore.report import prose
+from trl_explore.report import prose, why
 from trl_explore.report.catalogue import Drawn
 from trl_explore.report.claims_table import PLURAL, tally
 from trl_explore.report.evidence import SEED, Evidence, GroupEvidence
@@ -16,6 +16,8 @@ from trl_explore.report.tables import Table
 from trl_explore.report.theme import inline_svg, theme_css
 
 LONG_TABLE = 20
+HEROES = ("survival", "effects", "map-pass")
+"""Kinds of figures of which the first stands beside the answer."""
 PACKAGES = ("numpy", "scipy", "statsmodels", "matplotlib")
 
 
@@ -29,13 +31,14 @@ class Content:
     claims: Table
     jobs: Table
     gaps: Table
+    why: Sequence[Table] = ()
 
 
 def page(content: Content) -> str:
     """The whole file."""
     evidence = content.evidence
     figures = [figure for group in content.figures.values() for figure in group]
-    hero = next((f for f in figures if f.kind == "survival"), None)
+    hero = next((f for f in figures if f.kind in HEROES), None)
     body = "\n".join(
         [
             _header(content),
@@ -43,6 +46,7 @@ def page(content: Content) -> str:
             _answer(evidence),
             _figure(hero) if hero else "",
             _claims(content),
+            _why(content, hero),
             *(_group(part, content, hero) for part in evidence.groups),
             _method(evidence),
             _provenance(content),
@@ -69,6 +73,7 @@ def _header(content: Content) -> str:
     trials = sum(len(c) for part in evidence.groups for c in part.group.configurations)
     frames = sum(s.frames_total for part in evidence.groups for s in part.summaries)
     entries = [("answer", "Answer"), ("claims-section", "The thesis’s statements")]
+    entries += [("why", "Why")] * bool(content.why)
     entries += [(part.group.id, part.group.title) for part in evidence.groups]
     entries += [("method", "Method"), ("provenance", "Provenance")]
     links = "".join(f'<li><a href="#{escape(i)}">{escape(t)}</a></li>' for i, t in entries)
@@ -126,15 +131,32 @@ def _claims(content: Content) -> str:
     )
 
 
+def _why(content: Content, hero: Drawn | None) -> str:
+    if not content.why:
+        return ""
+    shown = [
+        figure
+        for part in content.evidence.groups
+        if why.applies(part)
+        for figure in content.figures[part.group.id]
+        if figure.kind in why.FIGURES and figure is not hero
+    ]
+    tables = [table.to_html() for table in content.why]
+    return why.why_section(content.evidence, "".join(map(_figure, shown)), tables)
+
+
 def _group(part: GroupEvidence, content: Content, hero: Drawn | None) -> str:
     group = part.group
-    figures = [f for f in content.figures[group.id] if f is not hero]
-    seen = (
-        '<p class="facts">Its first figure stands'
-        f' <a href="#figure-{escape(hero.id)}">above</a>.</p>'
-        if hero is not None and hero.group == group.id
-        else ""
+    elsewhere = [
+        f
+        for f in content.figures[group.id]
+        if f is hero or (content.why and why.applies(part) and f.kind in why.FIGURES)
+    ]
+    figures = [f for f in content.figures[group.id] if f not in elsewhere]
+    links = ", ".join(
+        f'<a href="#figure-{escape(f.id)}">{escape(f.title)}</a>' for f in elsewhere
     )
+    seen = f'<p class="facts">Above: {links}.</p>' if elsewhere else ""
     main = part is content.evidence.groups[0]  # whose sentences are the answer
     notes = [] if main else [f"<p>{escape(sentence)}</p>" for sentence in part.sentences]
     if part.incomparable:
@@ -142,7 +164,7 @@ def _group(part: GroupEvidence, content: Content, hero: Drawn | None) -> str:
     absent = []
     if not any(f.kind == "seconds" for f in content.figures[group.id]):
         absent.append("seconds of single trials (none was timed by itself)")
-    if not part.learning and not group.is_grid:
+    if not part.learning and not group.is_grid and group.plane is None:
         absent.append("learning curves (not recorded)")
     if absent:
         notes.append(f'<p class="facts">Left out: {escape("; ".join(absent))}.</p>')

@@ -17,6 +17,11 @@ import matplotlib as mpl
 from matplotlib.colors import to_hex, to_rgb
 
 INK, MUTED, GRID, PAPER = "#1c1e21", "#5f6670", "#dfe2e6", "#ffffff"
+MAP = tuple(to_hex(mpl.colormaps["cividis"](k / 20)) for k in range(21))
+"""Of the cells of a map, the same on light and dark screens; *cividis* was made so that readers
+with and without every kind of cone see it alike (Nuñez, Anderton & Renslow, PLoS ONE 13, 2018)."""
+MAP_INKS = ("#101214", "#fdfdfe")
+"""Of what is written in them."""
 WIDTH = 4.8
 """Of a figure, in inches; on a phone a point of text is then about a pixel."""
 
@@ -92,6 +97,27 @@ def styles(strategies: Sequence[str]) -> list[Style]:
         taken.add((style.marker, style.line))
         result.append(style)
     return result
+
+
+OPTIONS: Sequence[Style] = (
+    Style(INK, "o", "-"),
+    Style("#c28100", "D", _DASH),
+    Style("#3b2f8f", "^", _DASH_DOT),
+    Style("#4a9fd8", "v", _DOT),
+    Style("#7a1f3d", "s", _LONG),
+    Style("#4f7a28", "P", _DASH_DOT_DOT),
+)
+"""Where strategies stand in separate panels or blocks, options are told apart; the first is the
+one that the others are held against."""
+
+
+def option_styles(count: int) -> list[Style]:
+    """One style for each of some options.
+
+    >>> [style.marker for style in option_styles(3)]
+    ['o', 'D', '^']
+    """
+    return list(OPTIONS[:count]) + styles([f"option{k}" for k in range(count - len(OPTIONS))])
 
 
 def _free(style: Style, taken: set[tuple[str, LineStyle]]) -> Style:

@@ -8,6 +8,10 @@ from html import escape
 
 from matplotlib.colors import rgb_to_hsv, to_hex, to_rgb
 
+from trl_explore.report.style import MAP, MAP_INKS
+
+FIXED = frozenset((*MAP, *MAP_INKS))
+"""Colours that stay as they are: those of a map, whose ink is chosen for its cells."""
 DARK_PAPER = "#171a1f"
 MIN_CONTRAST = 4.0
 _COLOR = re.compile(r"#[0-9a-f]{6}\b")
@@ -36,7 +40,7 @@ def inline_svg(svg: str, name: str, alt: str) -> str:
 
 def theme_css(svgs: Iterable[str]) -> str:
     """The variables of all colours that the drawings use, for light and for dark screens."""
-    colors = sorted({c for svg in svgs for c in _COLOR.findall(svg)})
+    colors = sorted({c for svg in svgs for c in _COLOR.findall(svg)} - FIXED)
     light = "".join(f"--c{c[1:]}:{c};" for c in colors)
     dark = "".join(f"--c{c[1:]}:{dark_variant(c)};" for c in colors)
     return f":root{{{light}}}@media screen and (prefers-color-scheme:dark){{:root{{{dark}}}}}"
@@ -79,4 +83,4 @@ def _luminance(color: str) -> float:
 
 
 def _variable(match: re.Match[str]) -> str:
-    return f"var(--c{match[0][1:]})"
+    return match[0] if match[0] in FIXED else f"var(--c{match[0][1:]})"

@@ -1,7 +1,9 @@
 """The files of a job: the only place that knows their names and columns, for writing and reading.
 
     trials.csv              one row per trial
-    episodes.csv            one row per episode, by iteration and then trial (can be switched off)
+    episodes.csv            one row per episode, by iteration and then trial (can be switched off);
+                            with diagnostics=true what happened inside of the trial, too
+    evaluations.csv         one row per episode of the greedy policy, where it was evaluated
     scalars/*.csv           learning curves averaged over the trials (TorchRL's CSVLogger)
     weights.safetensors     the final policy of every trial
     run.json                configuration, versions, seed, wall time; written last
@@ -17,6 +19,7 @@ whole. While a job is not finished, its folder also holds ``checkpoint/`` (see
 
 from trl_explore.results.integrity import check_whole
 from trl_explore.results.names import (
+    DIAGNOSTIC_COLUMNS,
     EPISODE_COLUMNS,
     EPISODES,
     TIMING_COLUMNS,
@@ -39,9 +42,11 @@ from trl_explore.results.reading import (
     read_trials,
     read_weights,
 )
+from trl_explore.results.records import read_diagnostics, read_evaluations
 from trl_explore.results.writing import clear, versions, write_job, write_timings
 
 __all__ = [
+    "DIAGNOSTIC_COLUMNS",
     "EPISODES",
     "EPISODE_COLUMNS",
     "TIMINGS",
@@ -55,7 +60,9 @@ __all__ = [
     "find_jobs",
     "is_finished",
     "read_curves",
+    "read_diagnostics",
     "read_episodes",
+    "read_evaluations",
     "read_frame",
     "read_job",
     "read_jobs",

@@ -8,6 +8,10 @@ TRIAL_COLUMNS = (
     "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
 )  # fmt: skip
 EPISODE_COLUMNS = ("trial", "iteration", "score", "frames")
+DIAGNOSTIC_COLUMNS = (
+    "entropy_policy", "entropy_behaviour", "kl", "ratio_mean", "effective_sample_size",
+    "exploratory", "greedy_share", "coverage", "gradient_norm",
+)  # fmt: skip
 EVALUATIONS = "evaluations.csv"
 EVALUATION_COLUMNS = ("trial", "iteration", "score")
 TIMINGS = "timings.csv"

@@ -19,6 +19,7 @@ from trl_explore.analysis.claims import (
     decay_grid,
     epsilon_grid,
     iterations,
+    outlook,
     score,
     time,
 )
@@ -40,6 +41,7 @@ CLAIMS: tuple[Claim, ...] = (
     *iterations.CLAIMS,
     *time.CLAIMS,
     *conclusion.CLAIMS,
+    *outlook.CLAIMS,
 )
 
 

@@ -18,7 +18,7 @@ NEGLIGIBLE = 0.05
 
 def strategies_matter(study: Study, rng: np.random.Generator) -> Finding:
     """Test whether any pair of strategies differs in its restricted mean (Holm)."""
-    jobs = [study.strategy(name) for name in STRATEGIES]
+    jobs = [study.strategy(name) for name in study.strategies]
     table = compare_all(jobs, rng, level=study.level, resamples=study.resamples)
     n, cap = table[0].n_a, table[0].cap
     differing = [c for c in table if c.winner is not None]
@@ -38,7 +38,7 @@ def strategies_matter(study: Study, rng: np.random.Generator) -> Finding:
 def softmax_performs_best(study: Study, rng: np.random.Generator) -> Finding:
     """Ask P(softmax converges first) > ½ against each of the other strategies."""
     best = study.strategy("softmax")
-    others = [study.strategy(name) for name in STRATEGIES if name != "softmax"]
+    others = [study.strategy(name) for name in study.strategies if name != "softmax"]
     return rules.all_of([_faster(best, o) for o in others], study.level)
 
 

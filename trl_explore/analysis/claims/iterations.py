@@ -40,7 +40,7 @@ def decaying_beats_constant(study: Study, rng: np.random.Generator) -> Finding:
 
 def softmax_needs_fewest(study: Study, rng: np.random.Generator) -> Finding:
     """mean(softmax) < mean(other) for each of the other strategies, restricted to the cap."""
-    samples = {n: study.sample(study.strategy(n), "iterations") for n in STRATEGIES}
+    samples = {n: study.sample(study.strategy(n), "iterations") for n in study.strategies}
     best = samples.pop("softmax")
     return rules.all_of(
         [rules.mean_less(best, s, rng, resamples=study.resamples) for s in samples.values()],

@@ -146,6 +146,11 @@ def all_of(rules: Sequence[Rule], level: float) -> Finding:
     return Finding(OPEN, "undecided: " + _join([f.evidence for f in undecided]), needed)
 
 
+def any_of(rules: Sequence[Rule]) -> Rule:
+    """Disjunction: holds where one part holds after Bonferroni, fails where every part fails."""
+    return _contrary(lambda level: all_of([_contrary(rule) for rule in rules], level))
+
+
 def with_frames(decide: TimeDecision) -> Callable[[Study, np.random.Generator], Finding]:
     """Decide by seconds; the evidence adds what frames, free of the machine, would say.
 

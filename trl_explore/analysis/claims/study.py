@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trl_explore.analysis.bootstrap import RESAMPLES
+from trl_explore.analysis.choices import NAMES, choice
 from trl_explore.analysis.claims.model import NotMeasuredError
 from trl_explore.analysis.estimates import LEVEL
 from trl_explore.analysis.outcomes import Outcomes
@@ -19,7 +20,10 @@ from trl_explore.analysis.survival import convergence_times
 STRATEGIES = ("random", "argmax", "epsilon_greedy", "decaying_epsilon_greedy", "softmax")
 
 # The conditions under which the thesis made its statements (§2.3, §2.4.3, appendix A.4).
-CAPS = {"thesis": 1000, "epsilon_grid": 1000, "decay_grid": 5000}
+CAPS = {
+    "thesis": 1000, "epsilon_grid": 1000, "decay_grid": 5000, "temperature_grid": 1000,
+    "baselines": 1000, "corrections": 1000, "corrections_temperature": 1000,
+}  # fmt: skip
 THRESHOLD, WINDOW, ENV_ID = 195.0, 100, "CartPole-v1"
 PARAMETERS: Mapping[str, Mapping[str, float]] = {
     "epsilon_greedy": {"epsilon": 0.3},
@@ -72,6 +76,8 @@ class Study:
             without it the entries are the first n trials of the configuration, in order.
         level: confidence level of every verdict.
         resamples: of every bootstrap and permutation test.
+        strategies: those that a claim about all strategies is about.
+        places: experiments that stand in the place of others, name -> stand-in.
 
     """
 
@@ -80,6 +86,27 @@ class Study:
     timed_trials: Mapping[str, ArrayLike] = field(default_factory=dict)
     level: float = LEVEL
     resamples: int = RESAMPLES
+    strategies: Sequence[str] = STRATEGIES
+    places: Mapping[str, str] = field(default_factory=dict)
+
+    def under(self, correction: str) -> Study:
+        """The same questions put to the experiments with corrections, under one of them.
+
+        ``corrections`` stands in the place of ``thesis`` (without random, whose actions tell
+        nothing of what was learned), ``corrections_temperature`` in that of ``temperature_grid``.
+
+        Args:
+            correction: name of its class; ``NoCorrection``: the thesis's way, on the same trials.
+
+        """
+        places = {"thesis": "corrections", "temperature_grid": "corrections_temperature"}
+        chosen = [
+            o
+            for o in self.outcomes
+            if o.experiment in places.values() and choice(o, "correction") == correction
+        ]
+        strategies = [name for name in self.strategies if name != "random"]
+        return replace(self, outcomes=chosen, strategies=strategies, places=places)
 
     def experiment(self, name: str) -> list[Outcomes]:
         """List the jobs of an experiment; trials that two jobs share count once.
@@ -88,6 +115,7 @@ class Study:
             NotMeasuredError: there are none, or one contains a trial twice.
 
         """
+        name = self.places.get(name, name)
         try:
             jobs = deduplicate([o for o in self.outcomes if o.experiment == name])
         except ValueError as error:
@@ -114,6 +142,31 @@ class Study:
         if len({configuration_key(o) for o in alike}) > 1:
             raise NotMeasuredError(f"{experiment} has several configurations of {name}")
         return _pooled(alike)
+
+    def choices(self, experiment: str, strategy: str, group: str) -> dict[str, Outcomes]:
+        """Map a strategy's configurations by their option of a group, each with its defaults.
+
+        Args:
+            experiment: to look in.
+            strategy: with the thesis's parameters.
+            group: ``correction`` or ``baseline``.
+
+        Raises:
+            NotMeasuredError: the experiment is missing, or an option has several configurations.
+
+        """
+        jobs = [o for o in self.experiment(experiment) if o.strategy == strategy]
+        names = dict.fromkeys(choice(o, group) for o in jobs)
+        known = [n for n in NAMES[group] if n in names] + [
+            n for n in names if n not in NAMES[group]
+        ]
+        found = {}
+        for name in known:
+            mine = [o for o in jobs if choice(o, group) == name]
+            found[name] = replace(self, outcomes=mine, places={}).strategy(
+                strategy, self.places.get(experiment, experiment)
+            )
+        return found
 
     def grid(self, experiment: str, parameter: str) -> dict[float, Outcomes]:
         """Map a grid by the value of its parameter, ascending.

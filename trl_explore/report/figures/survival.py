@@ -28,16 +28,19 @@ class Row:
     style: Style
 
 
-def plot_survival(ax: Axes, rows: Sequence[Row], *, time: str) -> None:
+def plot_survival(
+    ax: Axes, rows: Sequence[Row], *, time: str, horizon: float | None = None
+) -> None:
     """Draw Ŝ(t), the share of trials that have not converged by t, with pointwise bands.
 
     Args:
         ax: empty axes.
         rows: configurations.
         time: name and unit of the horizontal axis.
+        horizon: where the axis ends; None: at the last time of any row.
 
     """
-    horizon = max(row.curve.times[-1] for row in rows)
+    horizon = horizon or max(row.curve.times[-1] for row in rows)
     log = spans_much([row.durations for row in rows])
     start = 0.8 * min(row.durations.min() for row in rows) if log else 0.0
     for k, row in enumerate(rows):
@@ -60,6 +63,20 @@ def plot_survival(ax: Axes, rows: Sequence[Row], *, time: str) -> None:
     ax.set_xlabel(time + (" (logarithmic)" if log else ""))
     ax.grid()
     plain_numbers(ax.xaxis)
+
+
+def plot_survival_panel(ax: Axes, rows: Sequence[Row], *, title: str, horizon: float) -> None:
+    """The same as one of several panels: its title is its own, the legend that of the figure.
+
+    Args:
+        ax: empty axes.
+        rows: configurations.
+        title: of the panel.
+        horizon: where the axis ends.
+
+    """
+    plot_survival(ax, rows, time="", horizon=horizon)
+    ax.set_title(wrapped(title, 28), loc="left", color=INK)
 
 
 def plot_numbers_at_risk(ax: Axes, rows: Sequence[Row], times: Sequence[float]) -> None:

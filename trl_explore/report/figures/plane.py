@@ -1,0 +1,84 @@
+"""A map over two parameters: a colour and a number in every cell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from trl_explore.report.style import INK, MAP, MAP_INKS, MUTED
+from trl_explore.report.theme import contrast
+
+
+def plot_plane(
+    ax: Axes,
+    values: NDArray[np.float64],
+    xs: Sequence[float],
+    ys: Sequence[float],
+    *,
+    x: str,
+    y: str,
+    scale: tuple[float, float],
+    text: Callable[[float], str],
+    marked: tuple[int, int] | None = None,
+) -> None:
+    """Draw a map; light is good, whatever the theme of the page.
+
+    Every cell states its number, in an ink that stands out from its own colour, so that nothing
+    hangs on telling colours apart. Cells without a value stay empty.
+
+    Args:
+        ax: empty axes.
+        values: [len(xs), len(ys)]; nan: not measured.
+        xs: values of the parameter from left to right.
+        ys: values of the other, from bottom to top.
+        x: name of the first parameter.
+        y: name of the second.
+        scale: the worst value, which is dark, and the best one.
+        text: how a value is written.
+        marked: the cell with a frame.
+
+    """
+    worst, best = scale
+    for i in range(len(xs)):
+        for j in range(len(ys)):
+            value = float(values[i, j])
+            if not np.isfinite(value):
+                continue
+            color = cell_color((value - worst) / (best - worst or 1.0))
+            ax.add_patch(Rectangle((i - 0.5, j - 0.5), 1, 1, fc=color, ec=color, lw=0.3))
+            ax.text(i, j, text(value), ha="center", va="center", fontsize=8, color=ink_on(color))
+    if marked is not None:
+        i, j = marked
+        ink = ink_on(cell_color((float(values[i, j]) - worst) / (best - worst or 1.0)))
+        ax.add_patch(Rectangle((i - 0.45, j - 0.45), 0.9, 0.9, fc="none", ec=ink, lw=1.6))
+    ax.set_xlim(-0.5, len(xs) - 0.5)
+    ax.set_ylim(-0.5, len(ys) - 0.5)
+    ax.set_xticks(range(len(xs)), [f"{value:g}" for value in xs])
+    ax.set_yticks(range(len(ys)), [f"{value:g}" for value in ys])
+    ax.set_xlabel(x, color=INK)
+    ax.set_ylabel(y, color=INK)
+    ax.tick_params(length=0, color=MUTED)
+    for spine in ax.spines.values():
+        spine.set_visible(False)
+
+
+def cell_color(share: float) -> str:
+    """Colour of a cell, dark blue at 0 to light yellow at 1.
+
+    >>> cell_color(0.0) == MAP[0], cell_color(2.0) == MAP[-1]
+    (True, True)
+    """
+    return MAP[round(float(np.clip(share, 0.0, 1.0)) * (len(MAP) - 1))]
+
+
+def ink_on(color: str) -> str:
+    """Black or white, whichever stands out more from a colour.
+
+    >>> ink_on(MAP[-1])
+    '#101214'
+    """
+    return max(MAP_INKS, key=lambda ink: contrast(ink, color))
