@@ -54,7 +54,7 @@ def claims_table(
         Column("trials_needed", "trials to settle it",
                lambda r: "" if r["trials_needed"] is None else f"{r['trials_needed']:,}", True),
     ]  # fmt: skip
-    return Table(id, title, columns, records, main=True)
+    return Table(id, title, columns, records, main=True, kind="claims")
 
 
 def tally(checked: Sequence[Checked]) -> dict[str, int]:

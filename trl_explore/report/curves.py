@@ -25,7 +25,7 @@ from trl_explore.results import (
 
 POINTS = 240
 """Most iterations at which a curve is drawn."""
-FEWER_POINTS = 80
+FEWER_POINTS = 60
 """The same for diagnostics, of which there are many figures."""
 SMOOTH = 20
 """Iterations that a diagnostic is averaged over."""
@@ -187,9 +187,7 @@ class _Parts:
             count = int(np.unique(played["trial"] * 2**32 + played["iteration"],
                                   return_counts=True)[1].max())  # fmt: skip
             self.evaluations.append(
-                running_means(
-                    played["trial"], played["iteration"], played["score"], count, self.at
-                )
+                running_means(played["trial"], played["iteration"], played["score"], count, self.at)
             )
 
     def learning(self, label: str, style: Any) -> Row | None:

@@ -169,9 +169,7 @@ def _planned(group: Group) -> list[tuple[Outcomes, Outcomes]] | None:
     return [(by_name[a], by_name[b]) for a, b in layout.pairs()]
 
 
-def _sentences(
-    group: Group, comparisons: Sequence[Comparison], level: float
-) -> tuple[str, ...]:
+def _sentences(group: Group, comparisons: Sequence[Comparison], level: float) -> tuple[str, ...]:
     if group.plane is not None:
         return plane_sentences(group.configurations, comparisons, group.labels, level)
     if group.crossed is not None and comparisons:

@@ -107,7 +107,7 @@ def _ends(e: GroupEvidence, rows: dict[str, Row]) -> str:
     layout = e.group.crossed
     names = [n for (_, o), n in sorted(layout.cells.items()) if o == 0] if layout else list(rows)
     texts = [
-        f"{layout.rows[k] if layout else e.group.labels[n]} {_short(_level(rows[n]))}"
+        f"{layout.rows[k] if layout else e.group.labels[n]}: {_short(level(rows[n]))}"
         for k, n in enumerate(names)
         if n in rows
     ]
@@ -126,7 +126,8 @@ def _short(value: float) -> str:
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.2g}"
 
 
-def _level(row: Row) -> float:
+def level(row: Row) -> float:
+    """Mean of a curve over its iterations."""
     return float(np.mean(row.mean))
 
 

@@ -8,16 +8,19 @@ from html import escape
 from importlib.metadata import version
 from importlib.resources import files
 
+from trl_explore.analysis.claims import NOT_MEASURED
 from trl_explore.report import prose, why
 from trl_explore.report.catalogue import Drawn
-from trl_explore.report.claims_table import PLURAL, tally
+from trl_explore.report.claims_table import PLURAL, claims_table, tally
 from trl_explore.report.evidence import SEED, Evidence, GroupEvidence
+from trl_explore.report.kinds import DIAGNOSTICS
 from trl_explore.report.tables import Table
 from trl_explore.report.theme import inline_svg, theme_css
 
 LONG_TABLE = 20
 HEROES = ("survival", "effects", "map-pass")
 """Kinds of figures of which the first stands beside the answer."""
+RECORDED = {*DIAGNOSTICS, "entropy"}
 PACKAGES = ("numpy", "scipy", "statsmodels", "matplotlib")
 
 
@@ -119,9 +122,12 @@ def _claims(content: Content) -> str:
         f" {PLURAL.get(verdict, verdict) if count > 1 else verdict}</li>"
         for verdict, count in counts.items()
     )
-    table = content.claims.to_html()
-    if set(counts) == {"not measured"}:
-        table = f"<details><summary>All statements, with the reason</summary>{table}</details>"
+    known = [c for c in content.evidence.checked if c.finding.verdict != NOT_MEASURED]
+    table = claims_table(known).to_html() if known else ""
+    if missing := [c for c in content.evidence.checked if c not in known]:
+        title = "Not measured, with the reason"
+        rest = claims_table(missing, id="claims-missing", title=title).to_html()
+        table += f"<details><summary>{len(missing)} not measured</summary>{rest}</details>"
     return (
         '<section id="claims-section"><h2>The thesis’s statements, checked one by one</h2>'
         '<p class="prose">The study that this program starts from, “Dare to Discover: The Effect'
@@ -153,9 +159,7 @@ def _group(part: GroupEvidence, content: Content, hero: Drawn | None) -> str:
         if f is hero or (content.why and why.applies(part) and f.kind in why.FIGURES)
     ]
     figures = [f for f in content.figures[group.id] if f not in elsewhere]
-    links = ", ".join(
-        f'<a href="#figure-{escape(f.id)}">{escape(f.title)}</a>' for f in elsewhere
-    )
+    links = ", ".join(f'<a href="#figure-{escape(f.id)}">{escape(f.title)}</a>' for f in elsewhere)
     seen = f'<p class="facts">Above: {links}.</p>' if elsewhere else ""
     main = part is content.evidence.groups[0]  # whose sentences are the answer
     notes = [] if main else [f"<p>{escape(sentence)}</p>" for sentence in part.sentences]
@@ -169,11 +173,18 @@ def _group(part: GroupEvidence, content: Content, hero: Drawn | None) -> str:
     if absent:
         notes.append(f'<p class="facts">Left out: {escape("; ".join(absent))}.</p>')
     tables = "".join(map(_table, content.tables[group.id]))
-    drawings = "".join(map(_figure, figures))
+    recorded = [f for f in figures if f.kind in RECORDED]
+    drawings = "".join(_figure(f) for f in figures if f not in recorded)
+    more = (
+        f"<details><summary>Along the runs: {len(recorded)} more figures</summary>"
+        f'<div class="figures">{"".join(map(_figure, recorded))}</div></details>'
+        if recorded
+        else ""
+    )
     return (
         f'<section id="{escape(group.id)}"><h2>{escape(group.title)}</h2>'
         f'<p class="facts">{prose.group_facts(group)}</p><div class="prose">{"".join(notes)}'
-        f'{seen}</div><div class="figures">{drawings}</div>{tables}</section>'
+        f'{seen}</div><div class="figures">{drawings}</div>{more}{tables}</section>'
     )
 
 

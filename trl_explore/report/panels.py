@@ -24,18 +24,19 @@ from trl_explore.report.style import INK, Style
 
 @dataclass(frozen=True)
 class Quantity:
-    """A diagnostic: what its axis says, a dashed line, limits, whether it may be logarithmic."""
+    """A diagnostic: what its axis says, a dashed line, limits, and how these are found."""
 
     axis: str
     line: float | None = None
     limits: tuple[float, float] | None = None
     may_be_log: bool = False
+    from_zero: bool = True
 
 
 QUANTITIES = {
     "kl": Quantity("KL(μ‖π), nats"),
     "effective_sample_size": Quantity("effective share of the frames", limits=(0.0, 1.04)),
-    "ratio_mean": Quantity("mean of π/μ over an episode", line=1.0),
+    "ratio_mean": Quantity("mean of π/μ over an episode", line=1.0, from_zero=False),
     "exploratory": Quantity("share of actions that are not greedy", limits=(0.0, 1.0)),
     "greedy_share": Quantity("share of the more frequent greedy action", limits=(0.0, 1.04)),
     "coverage": Quantity("cells visited so far", may_be_log=True),
@@ -99,7 +100,9 @@ def draw_diagnostic(evidence: GroupEvidence, name: str) -> Figure:
     group, quantity = evidence.group, QUANTITIES[name]
     rows = evidence.traces.diagnostics[name]
     log = quantity.may_be_log and spans_much([row.mean for row in rows.values()])
-    limits = quantity.limits or curves.limits_of([*rows.values()], line=quantity.line, log=log)
+    limits = quantity.limits or curves.limits_of(
+        [*rows.values()], line=quantity.line, log=log, from_zero=quantity.from_zero
+    )
 
     def draw(ax: Axes, panel: Panel) -> None:
         mine = [rows[n] for n in panel.names if n in rows]

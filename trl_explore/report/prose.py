@@ -31,6 +31,8 @@ def question(evidence: Evidence) -> str:
     main = evidence.groups[0].group
     names = list(dict.fromkeys(o.strategy for o in evidence.outcomes))
     known = [n for n in STRATEGIES if n in names] + [n for n in names if n not in STRATEGIES]
+    factors = [part.group.crossed.of for part in evidence.groups if part.group.crossed is not None]
+    also = "".join(f" and, where it says so, their {name}" for name in dict.fromkeys(factors))
     items = "".join(
         f"<li><b>{escape(strategy_label(n))}</b>"
         f"{': ' + escape(STRATEGIES[n]) if n in STRATEGIES else ''}</li>"
@@ -41,8 +43,8 @@ def question(evidence: Evidence) -> str:
         " How it does that is its <b>exploration strategy</b>. What does the choice of it do to"
         " how surely, and how fast, a policy-gradient agent learns?</p>"
         f"<p>Here many independent agents (<b>trials</b>) learned {escape(main.environment)} with"
-        " REINFORCE, all alike except for their strategy. One <b>iteration</b> is one episode and"
-        " the update that follows it. A trial has <b>converged</b>, or passed, when its mean score"
+        f" REINFORCE, all alike except for their strategy{also}. One <b>iteration</b> is one episode"
+        " and the update that follows it. A trial has <b>converged</b>, or passed, when its mean score"
         f" over the last {main.window} episodes exceeds {main.threshold:g}; a trial that has not"
         f" after {main.cap:,} iterations is stopped at this <b>cap</b>. The strategies:</p>"
         f"<ul>{items}</ul>"
@@ -66,7 +68,10 @@ def method(evidence: Evidence) -> str:
         " table; two configurations are told apart only where interval and corrected test both"
         " exclude zero. The log-rank test, which ignores the pairs, stands beside it as a second"
         " opinion. “Variance kept by pairing” below 1 says that pairing helped. Configurations"
-        " with different caps or thresholds are never compared.</p>"
+        " with different caps or thresholds are never compared. Where strategies are crossed with"
+        " options (corrections, baselines, policies), only the pairs that were asked about are"
+        " tested and corrected for: each option against the first, strategy by strategy; on a map,"
+        " each point against the thesis’s softmax.</p>"
         "<p>Each statement of the thesis was turned into a test before looking: <b>never</b> and"
         " <b>always</b> allow no exception, and the Wilson interval must come within 5 % of it;"
         " <b>consistently</b> means with a probability above 90 %, <b>almost every time</b> above"

@@ -31,13 +31,17 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """Records with all their numbers, and the columns that readers see of them."""
+    """Records with all their numbers, and the columns that readers see of them.
+
+    ``kind`` is a class of the page's style sheet.
+    """
 
     id: str
     title: str
     columns: Sequence[Column]
     records: Sequence[Record]
     main: bool = False
+    kind: str = ""
 
     def to_csv(self) -> str:
         """Every key of every record in full precision."""
@@ -58,7 +62,7 @@ class Table:
                        for r in self.records)  # fmt: skip
         return (
             f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(self.title)}">'
-            f'<table class="sortable" id="{escape(self.id)}"><caption>{escape(self.title)}'
+            f'<table class="{" ".join(filter(None, ("sortable", self.kind)))}" id="{escape(self.id)}"><caption>{escape(self.title)}'
             f"</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
         )
 

@@ -12,6 +12,7 @@ from trl_explore.report.claims_table import claims_table
 from trl_explore.report.evidence import WHY, Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
 from trl_explore.report.labels import readable
+from trl_explore.report.layout_captions import level
 from trl_explore.report.tables import Column, Record, Table
 
 FIGURES = ("effects", "kl", "effective_sample_size", "ratio_mean")
@@ -25,14 +26,16 @@ CSS = {
     "not measured": "not-measured",
 }
 
+PLURAL = {"survives": "survive", "becomes true": "become true", "falls": "fall"}
+
 TEXT = """
 <p>REINFORCE follows the gradient of what the policy π would earn, and for that the actions must
 come from π. Only softmax at temperature 1 does that: there the behaviour policy μ, from which the
 actions are drawn, is π itself. Under argmax, ε-greedy or another temperature the thesis’s program
 (and this one, unless told otherwise) takes the data of μ as if they were data of π. The estimate
 is then <b>biased</b>: it is the gradient of neither policy’s return. So two things differ between
-strategies, what they explore and how wrong their gradient is. Here the second is taken away, on
-the same seeds and trials:</p>
+strategies, what they explore and how wrong their gradient is. Here the second is corrected, on
+the same seeds and trials, in ways that differ in what they leave:</p>
 <ul>
 <li><b>per-step ratio</b>: the term of each action is weighted with π/μ of that action. This
 corrects the <i>action</i>, and not the <i>states</i> nor the rewards that follow: those are still
@@ -69,23 +72,22 @@ def why_tables(evidence: Evidence) -> list[Table]:
     ]
 
 
-def why_section(
-    evidence: Evidence, figures: str, tables: Sequence[str], summary: Callable[[str], str] = escape
-) -> str:
+def why_section(evidence: Evidence, figures: str, tables: Sequence[str]) -> str:
     """The section as HTML.
 
     Args:
         evidence: of the report.
         figures: drawn, as HTML.
         tables: of :func:`why_tables`, as HTML.
-        summary: escapes text.
 
     """
     counts: dict[str, int] = {}
     for r in evidence.reexamined:
         counts[r.outcome] = counts.get(r.outcome, 0) + 1
     tally = "".join(
-        f'<li class="verdict {CSS[o]}">{counts[o]} {summary(o)}</li>' for o in CSS if o in counts
+        f'<li class="verdict {CSS[o]}">{counts[o]} {PLURAL.get(o, o) if counts[o] > 1 else o}</li>'
+        for o in CSS
+        if o in counts
     )
     return (
         '<section id="why"><h2>Why: the bias, and the exploration</h2>'
@@ -93,7 +95,38 @@ def why_section(
         '<p class="prose">Each statement is decided twice by the same test, with the same trials:'
         " once as the thesis did it, once with the per-step ratio. It <i>survives</i> where it"
         f' holds both times.</p><ul class="tally">{tally}</ul>{"".join(tables)}'
+        f'<h3>How far μ was from π</h3><p class="prose">{escape(_distance(evidence))}</p>'
         f'<div class="figures">{figures}</div></section>'
+    )
+
+
+def _distance(evidence: Evidence) -> str:
+    """In words: the smallest distance at which most uncorrected trials failed."""
+    found = []
+    for part in filter(applies, evidence.groups):
+        layout, distances = part.group.crossed, part.traces.diagnostics.get("kl", {})
+        assert layout is not None
+        for (row, option), name in layout.cells.items():
+            summary = part.summary(name)
+            if option == 0 and name in distances and summary.pass_rate.value < 0.5:
+                found.append((level(distances[name]), layout.rows[row], summary, part, row))
+    text = (
+        "The distance was recorded in every iteration. What counts is not its size alone: a bias"
+        " pushes every update the same way and adds up, while noise averages out."
+    )
+    if not found:
+        return text
+    distance, row, summary, part, place = min(found, key=lambda f: f[0])
+    layout = part.group.crossed
+    assert layout is not None
+    corrected = [
+        f"{part.summary(layout.cells[place, o]).converged} with {option}"
+        for o, option in enumerate(layout.options)
+        if o and (place, o) in layout.cells
+    ]
+    return (
+        f"{text} Under {row}, KL(μ‖π) was {distance:.2g} nats on average, and {summary.converged} of"
+        f" {summary.n} uncorrected trials passed ({', '.join(corrected)})."
     )
 
 
@@ -114,14 +147,14 @@ def conclusions_table(reexamined: Sequence[Reexamined]) -> Table:
         for r in reexamined
     ]
     columns = [
-        Column("outcome", "without the bias", lambda r: r["outcome"],
+        Column("outcome", "when corrected", lambda r: r["outcome"],
                css=lambda r: "verdict " + CSS[r["outcome"]]),
         Column("statement", "the thesis says", lambda r: r["statement"], wide=True),
         Column("uncorrected", "uncorrected", _verdict("uncorrected"), wide=True),
         Column("corrected", "with the per-step ratio", _verdict("corrected"), wide=True),
     ]  # fmt: skip
-    return Table("why-conclusions", "The thesis’s conclusions, with the bias removed", columns,
-                 records, main=True)  # fmt: skip
+    title = "The thesis’s conclusions, with each action corrected"
+    return Table("why-conclusions", title, columns, records, main=True, kind="claims")
 
 
 def crossed_table(part: GroupEvidence) -> Table:

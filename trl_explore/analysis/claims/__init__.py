@@ -66,6 +66,7 @@ def _decide(claim: Claim, study: Study, rng: np.random.Generator) -> Finding:
 
 __all__ = [
     "CLAIMS",
+    "NOT_MEASURED",
     "VERDICTS",
     "Checked",
     "Claim",

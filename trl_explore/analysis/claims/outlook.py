@@ -19,7 +19,7 @@ THESIS_TEMPERATURE = 1.0
 def temperature_improves(study: Study, rng: np.random.Generator) -> Finding:
     """mean(T) < mean(1) for at least one other temperature T of the grid."""
     grid = study.grid("temperature_grid", "temperature")
-    samples = {t: study.sample(o, "iterations", f"T = {t:g}") for t, o in grid.items()}
+    samples = {t: study.sample(o, "iterations", f"(T = {t:g})") for t, o in grid.items()}
     plain = samples.pop(THESIS_TEMPERATURE, None)
     if plain is None or not samples:
         raise NotMeasuredError("the grid needs the temperature 1 and at least one other")

@@ -57,7 +57,11 @@ def plot_curves(
 
 
 def limits_of(
-    rows: Sequence[Row], *, line: float | None = None, log: bool = False
+    rows: Sequence[Row],
+    *,
+    line: float | None = None,
+    log: bool = False,
+    from_zero: bool = True,
 ) -> tuple[float, float]:
     """Of an axis that holds the curves, their bands and the line, and zero if it is linear.
 
@@ -74,5 +78,10 @@ def limits_of(
         positive = [row.mean[row.mean > 0] for row in rows]
         low = min((float(p.min()) for p in positive if len(p)), default=top)
         return max(low, top * DEPTH) / 1.5, top * 1.5
+    if not from_zero:
+        bottoms = [np.nanmin(row.mean if row.low is None else row.low) for row in rows]
+        low = float(min([*bottoms, top if line is None else line]))
+        margin = max(0.05 * (top - low), 0.005 * abs(top))
+        return low - margin, top + margin
     low = min([0.0, *(float(np.nanmin(row.mean)) for row in rows)])
     return 1.05 * low, (1.05 * top) or 1.0

@@ -15,6 +15,8 @@ from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style
 
 RASTER_FROM = 400
 """Points per row from which they are drawn as an image, to keep an SVG small."""
+RASTER_FROM_ALL = 1000
+"""The same for all rows together."""
 SPREAD = 0.28
 SHAPED_FROM = 100
 """Points per row from which their cloud takes the shape of the distribution."""
@@ -55,8 +57,9 @@ def plot_trials(
 
     """
     present = set()
+    raster = sum(len(row.values) for row in rows) > RASTER_FROM_ALL
     for y, row in enumerate(rows):
-        present |= _points(ax, row, y)
+        present |= _points(ax, row, y, raster)
         _summary(ax, row, y)
         passed = int((row.status == "converged").sum())
         ax.text(
@@ -122,7 +125,7 @@ def crowding(values: NDArray[np.float64], bins: int = 50) -> NDArray[np.float64]
     return np.sqrt(counts[place] / counts.max())
 
 
-def _points(ax: Axes, row: Row, y: int) -> set[str]:
+def _points(ax: Axes, row: Row, y: int, raster: bool) -> set[str]:
     """Draw the points of a row; which statuses it has."""
     finite = np.isfinite(row.values)
     values = np.where(finite, row.values, 0.0)
@@ -145,7 +148,7 @@ def _points(ax: Axes, row: Row, y: int) -> set[str]:
             linewidth=0.9 if not many else 0.4,
             alpha=0.85 if not many else 0.3,
             zorder=3,
-            rasterized=many,
+            rasterized=many or raster,
             label=status,
         )
     return shown
