@@ -67,6 +67,12 @@ class Builder:
             rate: {"durations": times(*((150, 250) if rate == 0.99 else (400, 800)), f, cap=5000)}
             for rate, f in slow.items()
         }
+        self.temperatures = {0.5: times(110, 180), 1.0: times(300, 700), 2.0: times(500, 900)}
+        self.baselines = {
+            (strategy, name): times(low, low + 100)
+            for strategy in ("softmax", "epsilon_greedy")
+            for name, low in (("Constant", 500), ("EpisodeMean", 600), ("StepMean", 150))
+        }
         self.trials = N
 
     def study(self, **options: Any) -> Study:
@@ -93,6 +99,26 @@ class Builder:
                     name=f"decay={rate}",
                     cap=5000,
                     **shorten(values, self.trials),
+                )
+            )
+        for temperature, durations in self.temperatures.items():
+            outcomes.append(
+                self.make(
+                    durations[: self.trials],
+                    parameters={"temperature": temperature},
+                    experiment="temperature_grid",
+                    name=f"temperature={temperature}",
+                )
+            )
+        for (strategy, name), durations in self.baselines.items():
+            outcomes.append(
+                self.make(
+                    durations[: self.trials],
+                    strategy=strategy,
+                    parameters=dict(PARAMETERS.get(strategy, {})),
+                    experiment="baselines",
+                    name=f"{strategy},{name}",
+                    config={"baseline": {"_target_": f"trl_explore.baselines.{name}"}},
                 )
             )
         seconds = {f"{o.experiment}/{o.name}": 1e-4 * o.frames for o in outcomes}
@@ -187,6 +213,11 @@ REFUTED: dict[str, Callable[[Builder], object]] = {
         for k, s in enumerate(STRATEGIES)
     ],
     "conclusion.softmax_performs_best": set_times("decaying_epsilon_greedy", 101, 110),
+    "outlook.temperature_improves": lambda b: b.temperatures.update({0.5: times(400, 900)}),
+    # 200 of 550 is less than half, 310 of 550 is more; one strategy is enough to refute it.
+    "outlook.baseline_drastic": lambda b: b.baselines.update(
+        {("epsilon_greedy", "StepMean"): times(260, 360)}
+    ),
 }
 
 
@@ -217,6 +248,10 @@ UNDECIDED: dict[str, Callable[[Builder], object]] = {
     ],
     "time.decaying_skewed_towards_long": set_frames("decaying_epsilon_greedy", 1000 + RAMP),
     "conclusion.softmax_performs_best": set_times("decaying_epsilon_greedy", 109, 182),
+    "outlook.temperature_improves": lambda b: b.temperatures.update({0.5: times(298, 702)}),
+    "outlook.baseline_drastic": lambda b: b.baselines.update(
+        {("softmax", "StepMean"): times(50, 500)}
+    ),
 }
 
 

@@ -142,3 +142,20 @@ def test_select_by_mask(make):
     o = select(make([1, 2, 3]), np.array([True, False, True]))
     assert o.trial.tolist() == [0, 2]
     assert len(o.status) == len(o.frames) == len(o.score) == 2
+
+
+def test_correction_and_baseline_make_another_agent(make):
+    for group in ("correction", "baseline"):
+        one, two = (
+            make([300, 400], name=name, config={group: {"_target_": name}}) for name in ("A", "B")
+        )
+        assert configuration_key(one) != configuration_key(two)
+        assert len(deduplicate([one, two])) == 2
+
+
+def test_the_stopping_rule_that_an_environment_proposes_does_not(make):
+    one, two = (
+        make([300], config={"env": {"id": "CartPole-v1", "score_threshold": threshold}})
+        for threshold in (195.0, 475.0)
+    )
+    assert configuration_key(one) == configuration_key(two)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from trl_explore.analysis.outcomes import Outcomes
-from trl_explore.results import read_job
+from trl_explore.results import DIAGNOSTIC_COLUMNS, read_job
 
 
 def write_job(
@@ -27,6 +27,10 @@ def write_job(
     diverged: tuple[int, ...] = (),
     episodes: bool = True,
     env: str = "CartPole-v1",
+    groups: dict[str, Any] | None = None,
+    diagnostics: bool = False,
+    evaluate_every: int = 0,
+    threshold: float = 195.0,
 ) -> Path:
     """A finished job whose trials took ``durations``; those at the cap were stopped there."""
     job = sweep / name
@@ -41,10 +45,24 @@ def write_job(
         lines.append(f"{k},{seed},{n},{passed},{score},{frames},0.5,{status}")
         rows += [f"{k},{i},{score * i / n},20" for i in range(1, n)]
         rows.append(f"{k},{n},{score},{20 + k + 1}")
+    columns = "trial,iteration,score,frames"
+    if diagnostics:
+        columns = ",".join([columns, *DIAGNOSTIC_COLUMNS])
+        # Behind the four columns of an episode: entropies, KL, ratio, size, shares, cells, norm.
+        rows = [f"{row},0.6,0.4,0.1,0.9,0.8,0.25,0.6,{10 + k},3.5" for k, row in enumerate(rows)]
+    if evaluate_every:
+        played = [
+            f"{k},{i},{200.0 + i}"
+            for i in range(evaluate_every, max(durations) + 1, evaluate_every)
+            for k, n in enumerate(durations)
+            if i <= n
+        ]
+        text = "\n".join(["trial,iteration,score", *played]) + "\n"
+        (job / "evaluations.csv").write_text(text)
     header = "trial,seed,iterations,converged,score,frames,seconds,status"
     (job / "trials.csv").write_text("\n".join([header, *lines]) + "\n")
     if episodes:
-        (job / "episodes.csv").write_text("\n".join(["trial,iteration,score,frames", *rows]) + "\n")
+        (job / "episodes.csv").write_text("\n".join([columns, *rows]) + "\n")
     run = {
         "experiment": experiment or sweep.name,
         "strategy": strategy,
@@ -54,10 +72,13 @@ def write_job(
         "seconds": 1.5,
         "config": {
             "max_iterations": cap,
-            "score_threshold": 195.0,
+            "score_threshold": threshold,
             "score_window": 100,
+            "evaluate_every": evaluate_every,
+            "evaluate_episodes": 1,
             "env": {"id": env},
             "strategy": {"_target_": "x", **(parameters or {})},
+            **{group: {"_target_": f"x.{name}"} for group, name in (groups or {}).items()},
         },
         "versions": {"python": "3.11.7", "torch": "2.13.0"},
         "machine": {"system": "Linux", "processor": "x86_64"},
@@ -131,3 +152,34 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     out = tmp_path_factory.mktemp("out")
     page, gaps = build_report([study], out, resamples=299)
     return Made(study, out, page.read_text(encoding="utf-8"), gaps)
+
+
+def write_layouts(folder: Path) -> Path:
+    """Strategies x corrections with everything recorded, and a plane of two numbers."""
+    rng = np.random.default_rng(5)
+    parameters = {"epsilon_greedy": {"epsilon": 0.3}, "softmax": {"temperature": 1.0}}
+    medians = {"argmax": 900, "epsilon_greedy": 380, "softmax": 150}
+    for strategy, median in medians.items():
+        for correction in ("NoCorrection", "PerStep", "Trajectory"):
+            taken = np.clip((median * np.exp(rng.normal(0, 0.2, 8))).astype(int), 100, 1000)
+            write_job(
+                folder / "corrections", f"{strategy},{correction}", taken.tolist(),
+                strategy=strategy, parameters=parameters.get(strategy),
+                groups={"correction": correction}, diagnostics=True, evaluate_every=50,
+            )  # fmt: skip
+    for epsilon in (0.0, 0.1, 0.3):
+        for temperature in (0.5, 1.0, 1.5):
+            passes = temperature <= 1
+            taken = [150 + k if passes else 1000 for k in range(6)]
+            write_job(
+                folder / "mixture_plane", f"{epsilon},{temperature}", taken,
+                strategy="epsilon_softmax",
+                parameters={"epsilon": epsilon, "temperature": temperature},
+            )  # fmt: skip
+    return folder
+
+
+@pytest.fixture(scope="session")
+def layouts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders of configurations in layouts."""
+    return write_layouts(tmp_path_factory.mktemp("layouts"))

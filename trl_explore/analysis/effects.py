@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-
 from trl_explore.analysis.comparisons import Comparison
 from trl_explore.analysis.outcomes import Outcomes
 from trl_explore.analysis.proportions import pass_rate

@@ -63,7 +63,8 @@ def build_report(
             _write(out / FIGURES / f"{figure.id}.svg", figure.svg)
             _fresh(out / FIGURES / f"{figure.id}.png").write_bytes(figure.png)
     for table in [
-        content.claims, content.jobs, content.gaps, *content.why, *(t for part in tables.values() for t in part)
+        content.claims, content.jobs, content.gaps, *content.why,
+        *(t for part in tables.values() for t in part),
     ]:  # fmt: skip
         _write_table(out / TABLES, table)
     _write(out / PAGE, html)

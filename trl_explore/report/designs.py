@@ -9,6 +9,8 @@ from trl_explore.analysis.choices import NAMES, choice, choice_name
 from trl_explore.analysis.outcomes import Outcomes
 from trl_explore.report.labels import label_parts, swept_parameters, symbol
 
+THESIS: Mapping[str, float] = {"epsilon": 0.0, "temperature": 1.0}
+"""The thesis's softmax as a point of the family that mixes softmax with chance."""
 PLANE_FROM = 3
 """Fewest values of either parameter of a plane."""
 
@@ -107,6 +109,6 @@ def plane(configurations: Sequence[Outcomes]) -> Plane | None:
     if min(len(xs), len(ys)) < PLANE_FROM or len(points) < len(configurations):
         return None
     cells = {(xs.index(x), ys.index(y)): name for (x, y), name in points.items()}
-    plain = dict(zip(("epsilon", "temperature"), (0.0, 1.0), strict=True))
-    reference = points.get((plain.get(keys[0], -1.0), plain.get(keys[1], -1.0)))
+    thesis = [THESIS.get(key, -1.0) for key in keys]
+    reference = points.get((thesis[0], thesis[1]))
     return Plane(symbol(keys[0]), symbol(keys[1]), xs, ys, cells, reference)

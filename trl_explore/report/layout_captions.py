@@ -12,8 +12,8 @@ SAMPLES = {
     " policy that is being improved.",
     "effective_sample_size": "Kong’s effective sample size of the ratios π/μ of an episode, as a"
     " share of its frames: 1 where every frame counts alike for π, near 0 where a few frames"
-    " outweigh all others. It counts actions one by one; weights of whole episodes are far worse. Argmax looks"
-    " harmless here, since what it never does leaves no trace.",
+    " outweigh all others. It counts actions one by one; weights of whole episodes are far worse."
+    " Argmax looks harmless here, since what it never does leaves no trace.",
     "ratio_mean": "Mean of π/μ over the actions of an episode. Its expectation is 1 where μ takes"
     " every action; argmax stays below, since what it never does is missing from the mean.",
     "exploratory": "Share of actions that were not the one that π prefers.",
@@ -50,8 +50,8 @@ def effects(e: GroupEvidence) -> str:
     layout = e.group.crossed
     assert layout is not None
     return (
-        f"Left: share of {_trials(e)} trials that pass, with Wilson intervals. Right: mean number of"
-        f" iterations, a trial that failed counted as {e.group.cap:,}, with intervals of"
+        f"Left: share of {_trials(e)} trials that pass, with Wilson intervals. Right: mean number"
+        f" of iterations, a trial that failed counted as {e.group.cap:,}, with intervals of"
         f" {100 * e.level:g} %. Black: {layout.options[0]}."
     )
 

@@ -43,11 +43,11 @@ def question(evidence: Evidence) -> str:
         " How it does that is its <b>exploration strategy</b>. What does the choice of it do to"
         " how surely, and how fast, a policy-gradient agent learns?</p>"
         f"<p>Here many independent agents (<b>trials</b>) learned {escape(main.environment)} with"
-        f" REINFORCE, all alike except for their strategy{also}. One <b>iteration</b> is one episode"
-        " and the update that follows it. A trial has <b>converged</b>, or passed, when its mean score"
-        f" over the last {main.window} episodes exceeds {main.threshold:g}; a trial that has not"
-        f" after {main.cap:,} iterations is stopped at this <b>cap</b>. The strategies:</p>"
-        f"<ul>{items}</ul>"
+        f" REINFORCE, all alike except for their strategy{also}. One <b>iteration</b> is one"
+        " episode and the update that follows it. A trial has <b>converged</b>, or passed, when its"
+        f" mean score over the last {main.window} episodes exceeds {main.threshold:g}; a trial"
+        f" that has not after {main.cap:,} iterations is stopped at this <b>cap</b>. The"
+        f" strategies:</p><ul>{items}</ul>"
     )
 
 

@@ -62,8 +62,8 @@ class Table:
                        for r in self.records)  # fmt: skip
         return (
             f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(self.title)}">'
-            f'<table class="{" ".join(filter(None, ("sortable", self.kind)))}" id="{escape(self.id)}"><caption>{escape(self.title)}'
-            f"</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+            f'<table class="{f"sortable {self.kind}".strip()}" id="{escape(self.id)}">'
+            f"<caption>{escape(self.title)}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
         )
 
     def _cell(self, column: Column, record: Record) -> str:

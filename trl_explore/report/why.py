@@ -125,8 +125,8 @@ def _distance(evidence: Evidence) -> str:
         if o and (place, o) in layout.cells
     ]
     return (
-        f"{text} Under {row}, KL(μ‖π) was {distance:.2g} nats on average, and {summary.converged} of"
-        f" {summary.n} uncorrected trials passed ({', '.join(corrected)})."
+        f"{text} Under {row}, KL(μ‖π) was {distance:.2g} nats on average, and {summary.converged}"
+        f" of {summary.n} uncorrected trials passed ({', '.join(corrected)})."
     )
 
 

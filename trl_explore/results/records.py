@@ -18,7 +18,7 @@ from trl_explore.results.names import (
     ResultsError,
 )
 from trl_explore.results.reading import read_episodes, read_run, read_trials
-from trl_explore.results.tables import integers, numbers, read_table
+from trl_explore.results.tables import Parser, integers, numbers, read_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,6 +33,9 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "coverage": (1.0, np.inf),
     "gradient_norm": (0.0, np.inf),
 }
+EVALUATION_PARSERS: dict[str, Parser] = dict(
+    zip(EVALUATION_COLUMNS, (integers, integers, numbers), strict=True)
+)
 
 
 def read_diagnostics(job: Path, episodes: pd.DataFrame | None = None) -> pd.DataFrame | None:
@@ -64,7 +67,8 @@ def read_diagnostics(job: Path, episodes: pd.DataFrame | None = None) -> pd.Data
         if ((values < low - ROUNDING) | (values > high + ROUNDING)).any():
             raise ResultsError(f"{where}: column {name} leaves the range {low:g} to {high:g}")
     keys = ["trial", "iteration"]
-    rows = frame[[*keys, *DIAGNOSTIC_COLUMNS]].drop_duplicates().sort_values(keys)
+    rows = frame.loc[:, [*keys, *DIAGNOSTIC_COLUMNS]].drop_duplicates()
+    rows = rows.sort_values(by=keys)
     if rows.duplicated(keys).any():
         raise ResultsError(f"{where}: episodes of one iteration differ in their diagnostics")
     return rows.reset_index(drop=True)
@@ -83,8 +87,7 @@ def read_evaluations(job: Path) -> dict[str, NDArray[Any]] | None:
     where = job / EVALUATIONS
     if not where.exists():
         return None
-    parsers = dict(zip(EVALUATION_COLUMNS, (integers, integers, numbers), strict=True))
-    columns = read_table(where, parsers)
+    columns = read_table(where, EVALUATION_PARSERS)
     config, trials = read_run(job)["config"], read_trials(job)
     every, count = config.get("evaluate_every"), config.get("evaluate_episodes", 1)
     if not isinstance(every, int) or not isinstance(count, int) or every < 1 or count < 1:

@@ -40,23 +40,23 @@ def plot_survival(
         horizon: where the axis ends; None: at the last time of any row.
 
     """
-    horizon = horizon or max(row.curve.times[-1] for row in rows)
+    end = horizon or max(float(row.curve.times[-1]) for row in rows)
     log = spans_much([row.durations for row in rows])
     start = 0.8 * min(row.durations.min() for row in rows) if log else 0.0
     for k, row in enumerate(rows):
         curve, style = row.curve, row.style
-        times = np.append(curve.times, max(horizon, curve.times[-1]))
+        times = np.append(curve.times, max(end, curve.times[-1]))
         if len(rows) <= BANDS_UP_TO:
             low, high = np.append(curve.low, curve.low[-1]), np.append(curve.high, curve.high[-1])
             ax.fill_between(times, low, high, step="post", color=style.color, alpha=0.13, lw=0)
         heights = np.append(curve.survival, curve.survival[-1])
         ax.step(times, heights, where="post", color=style.color, ls=style.line)
         share = (np.arange(MARKS) + (k + 0.5) / len(rows)) / MARKS
-        marks = start * (horizon / start) ** share if log else horizon * share
+        marks = start * (end / start) ** share if log else end * share
         seen = marks[marks <= curve.times[-1]]
         ax.plot(seen, curve.at(seen), ls="", marker=style.marker, color=style.color, ms=5)
     ax.set_xscale("log" if log else "linear")
-    ax.set_xlim(start, horizon * (1.05 if log else 1.02))
+    ax.set_xlim(start, end * (1.05 if log else 1.02))
     ax.set_ylim(-0.02, 1.02)
     ax.set_yticks(np.linspace(0, 1, 5), ["0 %", "25 %", "50 %", "75 %", "100 %"])
     ax.set_title("trials not yet converged", loc="left", color=INK)
