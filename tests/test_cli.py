@@ -193,6 +193,7 @@ def test_the_order_of_jobs_does_not_matter(folder, others):
         runs = [json.loads((path / "run.json").read_text()) for path in (job, other)]
         for run in runs:
             del run["seconds"], run["config"]["output_dir"]
+            del run["files"]["trials.csv"]["sha256"]  # it has a column of seconds
         assert runs[0] == runs[1]
 
 
@@ -381,7 +382,7 @@ WRONG = {
     "restart=perhaps": "restart must be true or false, got 'perhaps'",
     "~loss.gamma": "'loss.gamma' has been removed",
     "strategy=null": "strategy",
-    "collector=fused env=gym env.id=Acrobot-v1": "no kernel is registered for AcrobotEnv",
+    "collector=fused env=taxi +env.kwargs.fickle_passenger=true": "does not serve fickle_passenger",
     "strategy=thompson": "strategy=thompson",
     "strategy=epsilon_greedy strategy.epsilon=1.5": "in [0, 1], got 1.5",
     "strategy=epsilon_greedy strategy.epsilon=-0.1": "in [0, 1], got -0.1",

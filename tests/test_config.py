@@ -34,7 +34,12 @@ MANDATORY = {
     ("env", "gym"): ["env.id=Acrobot-v1", "env.max_steps=20"],
     ("policy", "tabular"): ["env=gym", "env.id=FrozenLake-v1"],
 }
-PENDULUM = ["env=gym", "env.id=Pendulum-v1", "env.max_steps=20"]
+PENDULUM = ["env=pendulum", "env.max_steps=20"]
+GAUSSIAN = ["policy=gaussian_linear", "strategy=gaussian"]
+MANDATORY |= {
+    ("env", name): [*GAUSSIAN, "env.max_steps=20"]
+    for name in ("bipedalwalker", "bipedalwalker_hardcore", "pendulum")
+}
 MANDATORY |= {
     ("policy", name): [*PENDULUM, "strategy=gaussian"] for name in options("policy", "continuous")
 }
@@ -283,7 +288,7 @@ def test_a_long_name_is_short_and_still_its_own():
         ("+foo=1", r"unknown key 'foo'; known: .*seed.*trials"),
         ("+strategy.epsilon=0.1", r"unknown key 'strategy.epsilon'; strategy=softmax has: temper"),
         ("+loss.gama=1", r"unknown key 'loss.gama'; loss=reinforce has: .*gamma"),
-        ("+env.steps=1", r"unknown key 'env.steps'; env=cartpole has: id, kwargs, max_iter"),
+        ("+env.steps=1", r"unknown key 'env.steps'; env=cartpole has: attributes, id, kwargs, max"),
         ("+optimizer.betas=[0,0]", r"unknown key 'optimizer.betas'; optimizer=adam has: lr"),
         ("+policy.bias=true", r"unknown key 'policy.bias'; policy=linear has: init"),
     ],
@@ -445,8 +450,8 @@ def test_wrong_values_are_one_line(overrides, message):
     ("override", "message"),
     [
         ("strategy=thompson", "there is no strategy=thompson; available: argmax, "),
-        ("env=pong", "there is no env=pong; available: cartpole, gym"),
-        ("experiment=no", "there is no experiment=no; available: debug, "),
+        ("env=pong", "there is no env=pong; available: acrobot, "),
+        ("experiment=no", "there is no experiment=no; available: baselines, "),
         ("foo=1", "unknown key 'foo'; --help lists the keys"),
         ("strategy.epsilon=1", "unknown key 'strategy.epsilon'; --help lists the keys"),
         ("strategy.temperature=[1", ""),

@@ -336,7 +336,7 @@ def ran(tmp_path_factory, run_many):
     """Every strategy with every policy, and what is refused; by name."""
     place = tmp_path_factory.mktemp("continuous")
     common = ["trials=2", "max_iterations=3", "score_window=2", "score_threshold=1e6"]
-    pendulum = [*common, "env=gym", "env.id=Pendulum-v1", "env.max_steps=8"]
+    pendulum = [*common, "env=pendulum", "env.max_steps=8"]
     commands = {
         f"{policy} {strategy}": [*pendulum, f"policy={policy}", f"strategy={strategy}"]
         for policy in POLICIES

@@ -14,7 +14,6 @@ from torchrl.envs.utils import check_env_specs
 from torchrl.modules import RandomPolicy
 
 from trl_explore.config.building import STOPPING
-from trl_explore.config.kinds import options
 from trl_explore.envs import lane_env, make_env
 from trl_explore.kernels import kernel_of
 from trl_explore.lanes import reward_threshold
@@ -115,11 +114,8 @@ def test_which_have_kernels(name):
 
 
 def job(name: str, tmp_path: Path, *overrides: str) -> list[str]:
-    small = ["trials=2", "max_iterations=2", "env.max_steps=30", f"output_dir={tmp_path}"]
-    served = []
-    if name in CONTINUOUS:
-        policy = options("policy", "continuous")[0]
-        served = [f"policy={policy}", "strategy=gaussian"]
+    small = ["trials=2", "max_iterations=2", "env.max_steps=20", f"output_dir={tmp_path}"]
+    served = ["policy=gaussian_linear", "strategy=gaussian"] if name in CONTINUOUS else []
     return [f"env={name}", *small, *served, *overrides]
 
 

@@ -14,11 +14,11 @@ from tensordict.nn import TensorDictSequential
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 from torchrl.modules import RandomPolicy
-from trl_explore.policy import LinearPolicy
 
 from trl_explore.checks import first_line
 from trl_explore.collectors import FusedCollector, TorchRLCollector
 from trl_explore.envs import LaneVectorEnv, lane_env, make_env
+from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import Random, Softmax
 from trl_explore.streams import Stream, generator
 

@@ -81,6 +81,7 @@ def test_the_files_are_those_of_the_serial_sweep(serial, parallel):
         runs = [json.loads((path / "run.json").read_text()) for path in (job, other)]
         for run in runs:
             del run["seconds"]
+            del run["files"]["trials.csv"]  # whose digest is also one of its seconds
         assert runs[0] == runs[1]
         assert runs[1]["threads"] == {"compiled": 2, "torch": 1}
 

@@ -19,6 +19,7 @@ class LeaveOneOut(Baseline):
         ValueError: when called, if a trial has a single episode.
 
     Example:
+        >>> import torch
         >>> from tensordict import TensorDict
         >>> reward, done = torch.tensor([4.0, 2.0]), torch.tensor([True, True])
         >>> two = Episodes(TensorDict({}, [2]), reward, done, torch.zeros(2).long(), 1, 1.0)

@@ -135,11 +135,15 @@ def _write_whole(path: Path, write: Callable[[Path], Any]) -> None:
         _sync(temporary)
         temporary.replace(path)
     except OSError as error:
-        error.filename = str(path)  # a full disk does not say what it is that it has no room for
-        raise
+        raise _of(path, error) from None
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _of(path: Path, error: OSError) -> OSError:
+    """The error with the name of the file: a full disk does not say what it has no room for."""
+    return error if error.errno is None else OSError(error.errno, error.strerror, str(path))
 
 
 def _sync(path: Path) -> None:
@@ -209,8 +213,7 @@ def _write_scalars(job: Path, trials: Trials) -> None:
             _sync(file)
         (parent / "curves" / "scalars").replace(job / SCALARS)
     except OSError as error:
-        error.filename = str(job / SCALARS)
-        raise
+        raise _of(job / SCALARS, error) from None
     finally:
         shutil.rmtree(parent, ignore_errors=True)
 
