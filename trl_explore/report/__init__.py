@@ -9,7 +9,8 @@
 ``figures``         one kind of figure per file: arrays and an ``Axes`` in
 ``drawing``         from evidence to drawn figures; ``captions`` what to see in them
 ``panels``          the same for layouts and recordings, with ``layout_captions``
-``kinds``           which figures there are; ``catalogue`` draws them; ``render`` the same bytes each time
+``kinds``           which figures there are; ``catalogue`` draws them; ``render`` always the
+                    same bytes
 ``tables``          a table as HTML, CSV, LaTeX, Markdown
 ``results_tables``  the tables of numbers; ``claims_table`` that of verdicts
 ``why``             the section on the bias and on what remains without it
