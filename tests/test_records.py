@@ -19,12 +19,12 @@ from trl_explore.results import (
 @pytest.fixture(scope="module")
 def recorded(run_many, tmp_path_factory):
     place = tmp_path_factory.mktemp("recorded")
-    (ran,) = run_many(
-        ["strategy=epsilon_greedy trials=3 max_iterations=7 episodes_per_update=2"
-         " evaluate_every=3 evaluate_episodes=2 diagnostics=true output_dir=."],
-        place,
-    )  # fmt: skip
-    assert ran.status == 0, ran
+    words = (
+        "strategy=epsilon_greedy trials=3 max_iterations=7 episodes_per_update=2 evaluate_every=3"
+        " evaluate_episodes=2 diagnostics=true output_dir=."
+    )
+    (ran,) = run_many([words.split()], place)
+    assert ran.returncode == 0, ran
     (run,) = place.glob("**/run.json")
     return run.parent
 

@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 from trl_explore.analysis.estimates import Estimate
 from trl_explore.analysis.power import detectable_difference
 from trl_explore.analysis.survival import kaplan_meier
-from trl_explore.report.figures import forest, learning, power, survival, trials
+from trl_explore.report.figures import effects, forest, learning, plane, power, survival, trials
+from trl_explore.report.figures.curves import plot_curves
 from trl_explore.report.figures.epsilon_decay import plot_epsilon
-from trl_explore.report.style import KNOWN, PAPER, visual_language
+from trl_explore.report.style import KNOWN, MAP, OPTIONS, PAPER, visual_language
 
 SOFTMAX, RANDOM = KNOWN["softmax"], KNOWN["random"]
 
@@ -195,3 +196,62 @@ def test_epsilon_curve_is_a_power(ax):
     assert ax.lines[1].get_linewidth() > ax.lines[0].get_linewidth()
     assert legend(ax) == ["0.5", "0.99"]
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("iteration", "ε: probability of a random action")
+
+
+def test_a_map_states_every_value_in_an_ink_that_stands_out(ax):
+    values = np.array([[0.0, 50.0], [100.0, np.nan]])
+    plane.plot_plane(ax, values, [0.0, 0.1], [0.5, 1.0], x="ε", y="T", scale=(0.0, 100.0),
+                     text=lambda v: f"{v:.0f}", marked=(0, 1))  # fmt: skip
+    assert texts(ax) == ["0", "50", "100"]
+    assert [t.get_position() for t in ax.texts] == [(0, 0), (0, 1), (1, 0)]
+    from matplotlib.colors import to_hex
+    from matplotlib.patches import Rectangle
+
+    from trl_explore.report.theme import contrast
+
+    squares = [p for p in ax.patches if isinstance(p, Rectangle)]
+    assert [to_hex(p.get_facecolor()) for p in squares[:3]] == [MAP[0], MAP[10], MAP[20]]
+    assert len(squares) == 4  # three cells and a frame
+    for square, text in zip(squares, ax.texts, strict=False):
+        assert contrast(to_hex(square.get_facecolor()), to_hex(text.get_color())) >= 4.4
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["0", "0.1"]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("ε", "T")
+
+
+def test_every_cell_of_a_map_can_be_read():
+    from trl_explore.report.theme import contrast
+
+    # Between black and white no grey gives more than 4.58 to both.
+    assert all(contrast(color, plane.ink_on(color)) >= 4.4 for color in MAP)
+
+
+def test_effects_stand_block_by_block(ax):
+    dots = [
+        effects.Dot(0, 0, Estimate(40.0, 30.0, 50.0, 0.95), OPTIONS[0]),
+        effects.Dot(1, 1, Estimate(90.0, np.nan, np.nan, 0.95), OPTIONS[1]),
+    ]
+    effects.plot_effects(ax, dots, ["argmax", "softmax"], 2, quantity="trials that pass, %")
+    drawn = [(list(line.get_xdata()), float(line.get_ydata()[0])) for line in ax.lines]
+    assert ([30.0, 50.0], 0.0) in drawn
+    assert ([40.0], 0.0) in drawn
+    # Block 1 begins after two options and a gap of 0.9; its second place is one below.
+    assert ([90.0], pytest.approx(3.9)) in drawn
+    assert [t.get_text() for t in ax.get_yticklabels()] == ["argmax", "softmax"]
+    assert ax.get_yticks().tolist() == pytest.approx([0.5, 3.4])
+
+
+def test_curves_have_bands_where_they_are_few(ax):
+    x = np.array([1.0, 2.0, 3.0])
+    rows = [learning.Row(str(k), x, x, x - 1, x + 1, OPTIONS[k]) for k in range(3)]
+    plot_curves(ax, rows, title="ε-greedy", line=2.5)
+    assert len(ax.collections) == 3
+    assert ax.get_ylim() == (0.0, pytest.approx(4.2))
+    assert ax.get_title(loc="left") == "ε-greedy"
+
+
+def test_panels_of_survival_end_together(ax):
+    durations = np.array([100.0, 200.0])
+    rows = [survival.Row("x", kaplan_meier(durations, [True, True]), durations, SOFTMAX)]
+    survival.plot_survival_panel(ax, rows, title="softmax", horizon=1000.0)
+    assert ax.get_xlim() == (0.0, pytest.approx(1020.0))
+    assert ax.lines[0].get_xdata()[-1] == 1000.0

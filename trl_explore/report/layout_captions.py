@@ -52,7 +52,7 @@ def effects(e: GroupEvidence) -> str:
     return (
         f"Left: share of {_trials(e)} trials that pass, with Wilson intervals. Right: mean number"
         f" of iterations, a trial that failed counted as {e.group.cap:,}, with intervals of"
-        f" {100 * e.level:g} %. Black: {layout.options[0]}."
+        f" {100 * e.level:g} %. Circles: {layout.options[0]}."
     )
 
 

@@ -72,7 +72,8 @@ def comparison_table(evidence: GroupEvidence) -> Table:
         Column("n_a", "pairs or trials", lambda r: f"{min(r['n_a'], r['n_b']):,}", True),
         Column("trials_needed", "trials for 80 % power", _needed, True),
     ]  # fmt: skip
-    title = f"{evidence.group.title}: all pairs"
+    planned = evidence.group.crossed is not None or evidence.group.plane is not None
+    title = f"{evidence.group.title}: {'the pairs asked about' if planned else 'all pairs'}"
     return Table(f"{evidence.group.id}-pairs", title, columns, records, main=True)
 
 

@@ -70,7 +70,7 @@ CLAIMS = (
     Claim(
         id="outlook.temperature_improves",
         statement="A temperature in the softmax could improve convergence performance.",
-        place="Discussion (future work)",
+        place="Discussion, future work",
         definition="At least one temperature of the grid other than 1, which the thesis used, needs"
         " fewer iterations on average, restricted to the cap (paired bootstrap interval and"
         " sign-flip test, Bonferroni over the temperatures). It does not hold where every other"
@@ -82,7 +82,7 @@ CLAIMS = (
         id="outlook.baseline_drastic",
         statement="Adding a baseline could improve convergence speed drastically, whatever the"
         " strategy.",
-        place="Discussion (future work)",
+        place="Discussion, future work",
         definition="Drastically: with at least one of the baselines, the mean number of"
         " iterations, restricted to the cap, is less than half of that without (bootstrap interval"
         " of the ratio, Bonferroni over the baselines), for every strategy that was run. It does"

@@ -222,7 +222,7 @@ CLAIMS = (
         id="why.epsilon_greedy_mostly_bias",
         statement="Most of what ε-greedy takes longer than softmax is the bias of its gradient, not"
         " its exploration.",
-        place="Why",
+        place="experiment corrections",
         definition="Its mean excess of iterations over softmax (restricted to the cap, same seed"
         " and trial) falls by more than half when each action is weighted with π/μ: twice the"
         " excess with the ratio is smaller than the excess without (paired bootstrap interval and"
@@ -234,7 +234,7 @@ CLAIMS = (
         id="why.decaying_mostly_bias",
         statement="Most of what decaying ε-greedy takes longer than softmax is the bias of its"
         " gradient.",
-        place="Why",
+        place="experiment corrections",
         definition="As for ε-greedy.",
         needs=("corrections",),
         decide=mostly_bias("decaying_epsilon_greedy"),
@@ -242,7 +242,7 @@ CLAIMS = (
     Claim(
         id="why.argmax_beyond_repair",
         statement="No correction repairs argmax.",
-        place="Why",
+        place="experiment corrections",
         definition="Under every correction, argmax passes in less than 80 % of trials (Wilson"
         " intervals).",
         needs=("corrections/argmax",),
@@ -252,7 +252,7 @@ CLAIMS = (
         id="why.variance_costs_more",
         statement="What removes the bias entirely costs more than it gains: with per-decision or"
         " trajectory weights both ε-greedy strategies take longer than with the mere ratio.",
-        place="Why",
+        place="experiment corrections",
         definition="The mean number of iterations, restricted to the cap, is smaller with the"
         " per-step ratio than with either of the unbiased weights, for both strategies (paired"
         " bootstrap interval and sign-flip test).",
@@ -263,7 +263,7 @@ CLAIMS = (
         id="why.hot_softmax_repaired",
         statement="A softmax at temperature 1.5 never passes without correction, and consistently"
         " with the per-step ratio.",
-        place="Why",
+        place="experiment corrections_temperature",
         definition="Without, no trial passes, and the Wilson interval ends below 5 %; with the"
         " ratio, more than 90 % pass.",
         needs=("corrections_temperature",),
@@ -273,7 +273,7 @@ CLAIMS = (
         id="why.every_temperature_serves",
         statement="With the gradient of μ itself, softmax passes consistently at every temperature"
         " of the grid.",
-        place="Why",
+        place="experiment corrections_temperature",
         definition="More than 90 % of trials pass at each temperature (Wilson intervals).",
         needs=("corrections_temperature",),
         decide=every_temperature_serves,
