@@ -24,6 +24,7 @@ GRIDS = ("epsilon_grid", "decay_grid", "temperature_grid")
 ORDER = (
     "thesis", "corrections", "corrections_temperature", "", "epsilon_grid", "decay_grid",
     "temperature_grid", "mixture_plane", "baselines", "baselines_batch", "deep_policy",
+    "frozenlake",
 )  # fmt: skip
 """Of the experiments in a report; those without a place stand at the empty one."""
 

@@ -122,9 +122,11 @@ def _claims(content: Content) -> str:
         f" {PLURAL.get(verdict, verdict) if count > 1 else verdict}</li>"
         for verdict, count in counts.items()
     )
-    known = [c for c in content.evidence.checked if c.finding.verdict != NOT_MEASURED]
-    table = claims_table(known).to_html() if known else ""
-    if missing := [c for c in content.evidence.checked if c not in known]:
+    table = content.claims.to_html()
+    missing = [c for c in content.evidence.checked if c.finding.verdict == NOT_MEASURED]
+    if 2 * len(missing) > len(content.evidence.checked):
+        known = [c for c in content.evidence.checked if c not in missing]
+        table = claims_table(known).to_html() if known else ""
         title = "Not measured, with the reason"
         rest = claims_table(missing, id="claims-missing", title=title).to_html()
         table += f"<details><summary>{len(missing)} not measured</summary>{rest}</details>"
