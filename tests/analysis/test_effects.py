@@ -14,10 +14,13 @@ def test_options_are_sorted_into_fewer_more_same_and_unclear(make, rng):
         changed = make(other, name=f"{row}1", strategy=f"{row}+")
         cells |= {f"{row}0": (row, "none"), f"{row}1": (row, "ratio")}
         pairs.append((plain, changed))
+    cells |= {"e0": ("e", "none"), "e1": ("e", "ratio")}
+    pairs.append(tuple(make([1000] * 20, name=n, strategy=n) for n in ("e0", "e1")))
     (sentence,) = option_sentences(compare_pairs(pairs, rng, resamples=999), cells)
     assert sentence == (
         "Ratio against none: fewer iterations under a (100); more iterations under b (50);"
-        " the very same trials under c; no difference beyond chance under d."
+        " the very same trials under c; no trial passes with either under e;"
+        " no difference beyond chance under d."
     )
 
 

@@ -87,6 +87,18 @@ def test_no_text_lies_on_another_with_twelve_strategies(twelve, kind):
             check(kind.draw(twelve))
 
 
+def test_long_runs_have_room_for_their_numbers(tmp_path, make_job):
+    for strategy in ("softmax", "argmax"):
+        for correction in ("NoCorrection", "PerStep"):
+            make_job(tmp_path / "lake", f"{strategy},{correction}", [800, 9000, 10000], cap=10000,
+                     strategy=strategy, groups={"correction": correction})  # fmt: skip
+    (part,) = gather(load([tmp_path]), resamples=99).groups
+    for kind in KINDS:
+        if kind.applies(part):
+            with visual_language():
+                check(kind.draw(part))
+
+
 def test_every_figure_of_the_thesis_is_drawn(made):
     # Seconds of the decay grid were not measured here.
     names = [path.stem for path in (made.out / "figures").glob("*.svg")]

@@ -16,7 +16,8 @@ from trl_explore.report.loading import load
 NAMES = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 LAYOUTS = {
     "corrections": "crossed", "corrections_temperature": "crossed", "baselines": "crossed",
-    "baselines_batch": "crossed", "deep_policy": "crossed", "frozenlake": "crossed", "mixture_plane": "plane",
+    "baselines_batch": "crossed", "deep_policy": "crossed", "frozenlake": "crossed",
+    "mixture_plane": "plane",
 }  # fmt: skip
 
 

@@ -11,6 +11,8 @@
 ``differences`` difference of two means; ``permutation`` its tests
 ``rank_tests``  log-rank test, probability of being faster
 ``comparisons`` two configurations, and all pairs with Holm's correction
+``choices``     which correction, baseline or policy, and what readers call it
+``effects``     what options do to rows, and a plane of numbers, in sentences
 ``power``       how many trials a difference needs
 ``claims``      the statements of the thesis, decided; ``answer`` all of it in three sentences
 """

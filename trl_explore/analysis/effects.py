@@ -38,10 +38,13 @@ def option_sentences(
             ]
             if rows:
                 parts.append(f"{word} iterations under {_list(rows)}")
-        same = [r for r, c in found if c.winner is None and _identical(c)]
+        same = [r for r, c in found if _identical(c)]
         if same:
             parts.append(f"the very same trials under {_list(same)}")
-        unclear = [r for r, c in found if c.winner is None and not _identical(c)]
+        never = [r for r, c in found if _never(c)]
+        if never:
+            parts.append(f"no trial passes with either under {_list(never)}")
+        unclear = [r for r, c in found if c.winner is None and not _identical(c) and not _never(c)]
         if unclear:
             parts.append(f"no difference beyond chance under {_list(unclear)}")
         sentences.append(f"{_capital(option)} against {first}: {'; '.join(parts)}.")
@@ -77,7 +80,12 @@ def plane_sentences(
 
 
 def _identical(c: Comparison) -> bool:
-    return c.sd == 0 and c.difference.value == 0
+    """Whether every trial took as many iterations under both, and some converged."""
+    return c.sd == 0 and c.difference.value == 0 and not _never(c)
+
+
+def _never(c: Comparison) -> bool:
+    return c.mean_a == c.mean_b == c.cap
 
 
 def _list(words: Sequence[str]) -> str:

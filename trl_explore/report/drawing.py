@@ -16,7 +16,7 @@ from trl_explore.analysis.pairing import select
 from trl_explore.analysis.survival import convergence_times, kaplan_meier
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import forest, learning, power, survival, trials
-from trl_explore.report.figures.axes import wrapped
+from trl_explore.report.figures.axes import few_ticks, wrapped
 from trl_explore.report.figures.epsilon_decay import plot_epsilon
 from trl_explore.report.groups import Group
 from trl_explore.report.style import WIDTH
@@ -132,6 +132,7 @@ def draw_learning(evidence: GroupEvidence) -> Figure:
             continue
         others = [row for row in rows if row is not rows[k]]
         learning.plot_learning(panel, rows[k], others=others, threshold=evidence.group.threshold)
+        few_ticks(panel.xaxis)
         panel.tick_params(labelbottom=k + columns >= len(rows))
     figure.supxlabel("iteration", fontsize=9)
     figure.supylabel(f"mean score, last {evidence.group.window} episodes", fontsize=9)

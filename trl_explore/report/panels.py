@@ -17,7 +17,7 @@ from trl_explore.analysis.survival import convergence_times, kaplan_meier
 from trl_explore.report.drawing import PANELS_PER_ROW, new_figure
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import curves, effects, learning, plane, survival
-from trl_explore.report.figures.axes import handle, legend_above, spans_much
+from trl_explore.report.figures.axes import few_ticks, handle, legend_above, spans_much
 from trl_explore.report.groups import Group
 from trl_explore.report.style import INK, Style
 
@@ -244,6 +244,8 @@ def _panels(
             continue
         draw(ax, panels[k])
         ax.set_xlabel("")
+        if ax.get_xscale() == "linear":
+            few_ticks(ax.xaxis)
         ax.tick_params(labelbottom=k + columns >= len(panels))
     figure.supxlabel(x, fontsize=9)
     figure.supylabel(y, fontsize=9)

@@ -48,6 +48,13 @@ def plain_numbers(axis: Any) -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
 
 
+def few_ticks(axis: Any) -> None:
+    """Fewer ticks, for a narrow panel; long numbers get fewer still."""
+    longest = max(abs(value) for value in axis.get_view_interval())
+    nbins = 3 if longest >= 5000 else 5
+    axis.set_major_locator(MaxNLocator(nbins=nbins, steps=[1, 2, 2.5, 5, 10]))
+
+
 def wrapped(label: str, width: int = 21, lines: int = 3) -> str:
     r"""A label in lines of at most so many characters; what does not fit in them is cut off.
 
