@@ -217,7 +217,7 @@ def test_different_values_never_share_a_name():
         *((f"optimizer.lr={lr}",) for lr in (0.01, 0.1)),
         ("optimizer.lr=0.1", "loss.weight=0.05"),
         ("loss.weight=0.1",),
-        ("loss.baseline=1",),
+        ("baseline.value=1",),
         ("loss.reduction=none",),
         ("env.max_steps=200",),
         ("env.max_steps=null",),
@@ -497,7 +497,7 @@ def test_what_is_built_follows_the_configuration():
     config, _ = composed(
         "trials=3", "seed=4", "first_trial=6", "max_iterations=77", "score_window=5",
         "score_threshold=12", "env.max_steps=33", "loss.gamma=0.5", "loss.weight=2",
-        "loss.baseline=1", "optimizer.lr=0.25", "strategy=epsilon_greedy", "strategy.epsilon=0.7",
+        "baseline.value=1", "optimizer.lr=0.25", "strategy=epsilon_greedy", "strategy.epsilon=0.7",
     )  # fmt: skip
     trainer = build_trainer(config)
     trials, lanes, loss = trainer.trials, trainer.collector.lanes, trainer.loss
@@ -505,7 +505,7 @@ def test_what_is_built_follows_the_configuration():
     assert trials.score_threshold == 12.0
     assert (lanes.id, lanes.num_envs, lanes.max_steps) == ("CartPole-v1", 3, 33)
     assert (lanes.seed, lanes.first_trial) == (4, 6)
-    assert (loss.gamma, loss.weight, loss.baseline, loss.trials) == (0.5, 2.0, 1.0, 3)
+    assert (loss.gamma, loss.weight, loss.baseline.value, loss.trials) == (0.5, 2.0, 1.0, 3)
     assert trainer.optimizer.lr == 0.25
     assert trainer.collector.strategy.mixture().uniform == 0.7
     policy = trainer.collector.policy[0]

@@ -19,8 +19,6 @@ def test_twenty_kills_change_no_byte():
         check=False,
     )
     assert process.returncode == 0, process.stderr
-    found = re.fullmatch(
-        r"(\d+) kills in (\d+) sweeps \(.*\): every file the same\n", process.stdout
-    )
+    found = re.match(r"(\d+) kills in \d+ sweeps \(.*\): every file the same\n", process.stdout)
     assert found is not None, process.stdout
     assert int(found[1]) >= 20

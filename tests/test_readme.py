@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
 
 README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
@@ -23,6 +24,16 @@ def test_a_strategy_and_the_loss_in_a_project_of_ones_own():
 def test_a_strategy_of_ones_own():
     scope: dict[str, Any] = {}
     exec(BLOCKS[2], scope)
-    probs = scope["MaxBoltzmann"](epsilon=0.5).probs(torch.tensor([0.0, 0.0, 2.0]))
-    soft = torch.tensor([0.0, 0.0, 2.0]).softmax(-1)
-    torch.testing.assert_close(probs, 0.5 * soft + 0.5 * torch.tensor([0.0, 0.0, 1.0]))
+    strategy, logits = scope["EpsilonFirst"](iterations=1), torch.tensor([0.0, 0.0, 2.0])
+    torch.testing.assert_close(strategy.probs(logits), torch.full((3,), 1 / 3))
+    strategy.step()
+    torch.testing.assert_close(strategy.probs(logits), logits.softmax(-1))
+
+
+@pytest.mark.parametrize("group", ["strategy", "correction", "baseline", "policy", "env"])
+def test_the_page_of_options_names_every_file(group):
+    root = Path(__file__).resolve().parents[1]
+    page = (root / "docs" / "options.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`([a-z0-9_]+)(?: [^`]*)?`", page))
+    files = {path.stem for path in (root / "conf" / group).glob("*.yaml")}
+    assert files <= named, files - named

@@ -67,7 +67,7 @@ class Trainer:
         on_iteration: Callable[[Trials], None] | None = None,
     ) -> None:
         if loss.reduction == "mean":
-            raise ValueError("reduction 'mean' couples the trials; allowed here are sum and none")
+            raise ValueError("loss: reduction 'mean' couples the trials; allowed are sum and none")
         if stop_on_evaluation and evaluator is None:
             raise ValueError("stop_on=evaluation needs evaluate_every of at least 1, got 0")
         self.collector = collector
