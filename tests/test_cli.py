@@ -522,7 +522,7 @@ def test_help_and_configuration_without_torch(run_many, tmp_path):
     for text in (
         "python scripts/train.py -m",
         "strategy: argmax, ",
-        "experiment: debug, ",
+        "experiment: baselines, ",
         "trials: 30",
     ):
         assert text in helped.stdout
