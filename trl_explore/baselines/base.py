@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 from torch import Tensor, nn
 from torchrl.envs import EnvBase
 
@@ -9,7 +11,7 @@ from trl_explore.checks import check_number
 from trl_explore.episodes import Episodes
 
 
-class Baseline(nn.Module):
+class Baseline(nn.Module, ABC):
     """b_t, what is subtracted from the return G_t before it weighs ∇log π(a_t|s_t).
 
     A baseline that does not depend on the action a_t leaves the expected gradient as it is and
@@ -26,9 +28,9 @@ class Baseline(nn.Module):
     def bind(self, env: EnvBase) -> None:
         """Learn for which environment and how many trials it is; called before training."""
 
+    @abstractmethod
     def forward(self, episodes: Episodes) -> Tensor | float:
         """b_t of every frame [frames], without gradient, or one number for all."""
-        raise NotImplementedError
 
     def loss(self, episodes: Episodes) -> Tensor | None:
         """What the baseline's own parameters minimise [trials]; None if it has none."""
