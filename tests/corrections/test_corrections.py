@@ -101,6 +101,25 @@ def test_one_episode_per_update_normalised_is_no_correction():
         assert given.tolist() == pytest.approx([3, 2, 1])
 
 
+@pytest.mark.parametrize("correction", [PerStep, Trajectory, PerDecision])
+def test_normalised_weights_do_not_vanish_with_the_length_of_an_episode(correction):
+    """The smallest double is e^-745: all ratios e^-800 times as large leave the shares alone."""
+    small = torch.tensor(RATIOS, dtype=torch.float64).log()
+    if correction is PerStep:
+        small = small - 800
+    else:
+        small[[0, 3]] -= 800  # the first step of both episodes: every product has it once
+    given = correction(self_normalize=True).advantage(two_episodes(), 0.0, small)
+    assert given.tolist() == pytest.approx(advantage(correction(self_normalize=True)))
+
+
+def test_weights_that_are_all_zero_stay_so():
+    never = torch.full((5,), -torch.inf, dtype=torch.float64)
+    for correction in (PerStep, Trajectory, PerDecision):
+        given = correction(self_normalize=True).advantage(two_episodes(), 0.0, never)
+        assert given.tolist() == [0] * 5
+
+
 def test_importance_weights_need_exact_probabilities():
     for kind in (PerStep, Trajectory, PerDecision):
         kind().actor(None, EpsilonGreedy(0.1))
