@@ -1,6 +1,7 @@
 """Corrections by hand: ratios 2 and 1/2, rewards 1, no discount."""
 
 import math
+from typing import cast
 
 import pytest
 import torch
@@ -141,7 +142,7 @@ def gradient_of_behaviour(strategy, policy, env):
     loss = ReinforceLoss(actor, correction=Behaviour(), strategy=strategy, functional=False)
     data = TorchRLCollector(env, TensorDictSequential(policy, strategy)).collect()
     loss(data)["loss_actor"].backward()
-    return [parameter.grad for parameter in policy.parameters()]
+    return [cast(torch.Tensor, parameter.grad) for parameter in policy.parameters()]
 
 
 @pytest.mark.parametrize(
