@@ -90,7 +90,12 @@ class Strategy(BaseStrategy):
         """The strategy that takes the first action of largest logit."""
         from trl_explore.strategies.argmax import Argmax
 
-        return Argmax()
+        return Argmax(
+            spec=self.spec,
+            logits_key=self.logits_key,
+            action_key=self.action_key,
+            action_mask_key=self.action_mask_key,
+        )
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw "action" from μ and write "action_log_prob"."""
