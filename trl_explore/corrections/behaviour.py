@@ -20,7 +20,8 @@ class Behaviour(NoCorrection):
     γ = 1, or with the factor γ^t), with no ratio and its variance. It exists where μ depends
     differentiably on the logits: softmax at a temperature, and mixtures of it with the uniform
     corner (ε-softmax); not with a share of argmax, whose probabilities are piecewise constant.
-    Where μ does not follow the policy at all (uniform, or ε = 1 in an iteration) it is 0.
+    Where μ does not follow the policy at all (uniform, or ε = 1 in an iteration) it is 0. An
+    entropy bonus in the loss is then that of μ, too.
 
     Example:
         >>> from trl_explore.strategies import Argmax
