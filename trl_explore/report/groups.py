@@ -82,10 +82,10 @@ class Group:
 
 def group_jobs(jobs: Sequence[Job]) -> list[Group]:
     """Split jobs into groups: the thesis's experiment first, its grids last."""
-    by_rule: dict[tuple[str, int, float, int, str], list[Job]] = {}
+    by_rule: dict[tuple[str, int, float, int, str, str], list[Job]] = {}
     for job in jobs:
         o = job.outcomes
-        rule = (o.experiment, o.cap, o.threshold, o.window, _environment(o))
+        rule = (o.experiment, o.cap, o.threshold, o.window, _environment(o), o.judged_by)
         by_rule.setdefault(rule, []).append(job)
     order = sorted(by_rule, key=lambda rule: (_rank(rule[0]), *map(str, rule)))
     ids = [_id(rule[0]) for rule in order]
