@@ -22,8 +22,9 @@ from trl_explore.kernels import borrow as borrow_module
 from trl_explore.kernels.base import kernel_function
 from trl_explore.kernels.borrow import borrow
 from trl_explore.ops import exponential as exponential_module
-from trl_explore.ops import vectors
+from trl_explore.ops import runs, vectors
 from trl_explore.ops.exponential import exp32, log1p32
+from trl_explore.ops.runs import end_of_run
 from trl_explore.ops.vectors import WIDTH, columns, dot
 
 WIDE, SPARSE = 8, 2
@@ -45,22 +46,6 @@ def score_kernel(shape: tuple[int, ...], observation: NDArray[Any]) -> Callable[
         return score_two(shape[2], observation.dtype == np.float32)
     one_hot = shape[2] >= WIDE and len(observation) and np.count_nonzero(observation[0]) <= SPARSE
     return score_sparse if one_hot else score
-
-
-@kernel_function
-def end_of_run(trial, start):
-    """The first place behind ``start`` where another trial begins."""
-    lane, end = trial[start], start + 1
-    while end + WIDTH <= len(trial):
-        change = trial[end] ^ lane
-        for j in range(1, WIDTH):
-            change |= trial[end + j] ^ lane
-        if change != 0:
-            break
-        end += WIDTH
-    while end < len(trial) and trial[end] == lane:
-        end += 1
-    return end
 
 
 @compiled(borrow_module)
@@ -207,7 +192,7 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
             cost[f] = logarithm(small) + (d[f] if d[f] > zero else zero)
             share[f] *= (small if d[f] < zero else one) / (one + small)
 
-    @compiled(borrow_module, exponential_module, vectors, key=(n_features, single))
+    @compiled(borrow_module, exponential_module, runs, vectors, key=(n_features, single))
     def kernel(observation, action, advantage, trial, weight, total, gradient):
         dtype = weight.dtype
         one = np.ones(1, dtype)[0]
@@ -216,6 +201,7 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
         x, rows = borrow(own_x), borrow(own_rows)
         difference, slope = borrow(own_difference), borrow(own_slope)
         d, cost, share, factor = rows[0], rows[1], rows[2], rows[3]
+        action, advantage = borrow(action), borrow(advantage)
         actions = np.int64(0)
         start, before = 0, np.int64(-1)
         while start < len(action):
@@ -233,10 +219,11 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
                 read(observation, start, size, x, one - one)
                 logits(difference, x, d, size)
                 rows[1:, size : WIDTH * groups] = 0
+                chosen_of, factor_of = action[start : start + size], advantage[start : start + size]
                 for f in range(size):
-                    chosen = action[start + f]
+                    chosen = chosen_of[f]
                     actions |= chosen
-                    factor[f] = advantage[start + f]
+                    factor[f] = factor_of[f]
                     share[f] = factor[f] if chosen != 0 else -factor[f]
                     d[f] = -d[f] if chosen != 0 else d[f]
                 log_probs(d, cost, share, size, one)
