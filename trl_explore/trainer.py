@@ -24,8 +24,8 @@ class TrialLoss(Protocol):
 
     reduction: str
 
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The entries "loss_actor", "trial_loss" [trials], and perhaps "loss_value"."""
+    def backward(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """Add the gradients of all losses to those of the parameters; the loss of each trial."""
         ...
 
     def step(self, tensordict: TensorDictBase) -> None:
@@ -159,16 +159,12 @@ class Trainer:
 
     def _update(self, data: TensorDictBase, active: NDArray[np.bool_]) -> torch.Tensor:
         self.optimizer.zero_grad()
-        losses = self.loss(data)
-        loss = losses.get("loss_actor")
-        loss = loss if loss.ndim == 0 else loss.sum()
-        value_loss = losses.get("loss_value", None)
-        (loss if value_loss is None else loss + value_loss.sum()).backward()
+        trial_loss = self.loss.backward(data)
         if self.diagnostics is not None:
             self.diagnostics.record(data, active)
         self.optimizer.step(torch.from_numpy(active))
         self.loss.step(data)
-        return losses.get("trial_loss")
+        return trial_loss
 
     def _diverged(self, trial_loss: torch.Tensor, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether an active trial's loss or one of its weights is not finite [active]."""

@@ -62,7 +62,7 @@ def linear_softmax_score(
         >>> (score / torch.tensor(0.5).log()).tolist()
         [2.0, 1.0]
     """
-    if not fits(observation, weight, advantage) or observation.requires_grad:
+    if not serves(observation, weight, advantage):
         _check(observation, weight, action, advantage, trial)
         logits = lane_linear(observation, weight, trial)
         return lane_sum(categorical_log_prob(logits, action) * advantage, trial, len(weight))
@@ -88,12 +88,17 @@ class _LinearSoftmaxScore(torch.autograd.Function):
         return None, grad.reshape(-1, 1, 1) * ctx.gradient, None, None, None
 
 
+def serves(observation: Tensor, weight: Tensor, advantage: Tensor) -> bool:
+    """Whether ``linear_softmax_gradient`` does: on the CPU, in one dtype, for the weights alone."""
+    return fits(observation, weight, advantage) and not observation.requires_grad
+
+
 def linear_softmax_gradient(
     observation: Tensor, weight: Tensor, action: Tensor, advantage: Tensor, trial: Tensor
 ) -> tuple[Tensor, Tensor]:
     """S of ``linear_softmax_score`` and ∂S/∂W [trials, n_actions, n_features], without autograd.
 
-    Arguments and errors are those of ``linear_softmax_score``; all on the CPU, in one dtype.
+    Arguments and errors are those of ``linear_softmax_score``, as far as ``serves`` says so.
 
     Example:
         >>> x, w, one = torch.ones(1, 1), torch.zeros(1, 2, 1), torch.tensor([1])
