@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
+from trl_explore.compiled import compiled
 from trl_explore.ops import lane_sum, return_to_go
 
 
@@ -187,11 +188,35 @@ def outcomes(
 
     Returns:
         Each [active], or [active, k] where every trial has k > 1 episodes.
+
+    Raises:
+        ValueError: if the data are not whole episodes.
     """
     after = data.get("next")
-    last = np.flatnonzero(after.get("done").numpy())
-    scores = after.get("episode_reward").numpy()[last, 0].astype(np.float64)
-    frames = after.get("step_count").numpy()[last, 0]
+    names = ("done", "step_count", "episode_reward")
+    found = _outcomes(*(entry(after, name).numpy() for name in names))
+    if found is None:
+        raise ValueError("the data are not whole episodes, each with its step_count from 1 on")
+    scores, frames = found
     if episodes_per_update == 1:
         return scores, frames
     return scores.reshape(-1, episodes_per_update), frames.reshape(-1, episodes_per_update)
+
+
+@compiled()
+def _outcomes(done, step_count, episode_reward):
+    """From the last frame to the one before its episode, and so on; [frames, 1] each."""
+    count, place = 0, len(done) - 1
+    while place >= 0:
+        steps = step_count[place, 0]
+        if steps < 1 or steps > place + 1 or not done[place, 0]:
+            return None
+        place -= steps
+        count += 1
+    scores, frames = np.empty(count), np.empty(count, dtype=np.int64)
+    place = len(done) - 1
+    while count > 0:
+        count -= 1
+        scores[count], frames[count] = episode_reward[place, 0], step_count[place, 0]
+        place -= frames[count]
+    return scores, frames

@@ -15,7 +15,7 @@ from trl_explore.collectors import EpisodeCollector
 from trl_explore.diagnostics import Diagnostics
 from trl_explore.episodes import outcomes
 from trl_explore.evaluation import Evaluator
-from trl_explore.optim import TrialOptimizer
+from trl_explore.optim import TrialOptimizer, Views, all_finite
 from trl_explore.trials import Trials
 
 
@@ -78,6 +78,7 @@ class Trainer:
         self.stop_on_evaluation = stop_on_evaluation
         self.diagnostics = diagnostics
         self.on_iteration = on_iteration
+        self._weights = Views(optimizer.parameters)
         self.seconds = 0.0
         """Wall time of the training so far; that before an interruption counts [s]."""
         parts = {
@@ -168,8 +169,8 @@ class Trainer:
 
     def _diverged(self, trial_loss: torch.Tensor, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether an active trial's loss or one of its weights is not finite [active]."""
-        rows = [trial_loss.numpy(), *(p.detach().numpy() for p in self.optimizer.parameters)]
-        if np.isfinite(sum(float(np.add.reduce(row, axis=None, dtype=np.float64)) for row in rows)):
+        rows = [trial_loss.numpy(), *self._weights()]
+        if all(map(all_finite, rows)):
             return np.zeros(np.count_nonzero(active), dtype=np.bool_)
         finite = [np.isfinite(row.reshape(len(row), -1)).all(axis=1) for row in rows]
         return ~np.logical_and.reduce(finite)[active]
