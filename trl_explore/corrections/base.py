@@ -53,6 +53,8 @@ class NoCorrection:
             baseline: b_t [frames], or one number.
             log_ratio: log π(a_t|s_t) − log μ(a_t|s_t) [frames]; None where it is not needed.
         """
+        if isinstance(baseline, float) and baseline == 0:
+            return episodes.returns
         return episodes.returns - baseline
 
 
