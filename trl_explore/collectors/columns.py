@@ -43,16 +43,19 @@ class Columns:
         )
         self.arrays: tuple[NDArray[Any], ...] = ()
 
+    def has(self, below: int, above: int) -> bool:
+        """Whether there is room for so many frames below and above the middle."""
+        return below <= self.middle and above <= self.capacity - self.middle
+
     def reserve(self, below: int, above: int, low: int = 0, high: int = 0) -> int:
         """Make room for so many frames below and above the middle.
 
         The frames from ``low`` to ``high`` are kept; returns by how much they, and the middle,
         have moved.
         """
-        above_now = self.capacity - self.middle
-        if below <= self.middle and above <= above_now:
+        if self.has(below, above):
             return 0
-        below, above = max(below, self.middle), max(above, above_now)
+        below, above = max(below, self.middle), max(above, self.capacity - self.middle)
         moved, self.middle, self.capacity = below - self.middle, below, below + above
         grown = tuple(np.empty(self.capacity * size, dtype) for _, size, dtype in self._kinds)
         for new, old, (_, size, _) in zip(grown, self.arrays, self._kinds, strict=False):
@@ -123,10 +126,18 @@ class Part:
         left = slice(0, len(self.trials) - done) if self.backwards else slice(done, None)
         self.trials, self.episodes = self.trials[left], self.episodes[left]
 
+    def need(self, frames: int) -> int:
+        """Room for so many frames of every episode; 0: twice as much as now, if any is left."""
+        if frames or not len(self.trials):
+            return frames * len(self.trials)
+        columns = self.columns
+        return 2 * (columns.middle if self.backwards else columns.capacity - columns.middle)
+
     @property
     def bounds(self) -> tuple[int, int]:
         """The first frame, and the end of the last one."""
-        return tuple(sorted((self.columns.middle, self.place)))  # type: ignore[return-value]
+        middle = self.columns.middle
+        return (self.place, middle) if self.backwards else (middle, self.place)
 
 
 def grow(parts: Sequence[Part], frames: int = 0) -> None:
@@ -136,23 +147,25 @@ def grow(parts: Sequence[Part], frames: int = 0) -> None:
     """
     for columns in {id(part.columns): part.columns for part in parts}.values():
         mine = [part for part in parts if part.columns is columns]
-        need = {True: 0, False: 0}
-        for part in mine:
-            now = columns.middle if part.backwards else columns.capacity - columns.middle
-            need[part.backwards] = frames * len(part.trials) or (2 * now if len(part.trials) else 0)
+        below = sum(part.need(frames) for part in mine if part.backwards)
+        above = sum(part.need(frames) for part in mine if not part.backwards)
+        if columns.has(below, above):
+            continue
         low = min(part.bounds[0] for part in mine)
         high = max(part.bounds[1] for part in mine)
-        moved = columns.reserve(need[True], need[False], low, high)
+        moved = columns.reserve(below, above, low, high)
         for part in mine:
             part.place += moved
 
 
 def joined(parts: Sequence[Part]) -> TensorDict:
     """The frames of all parts, one after the other, in the columns that the middle ones share."""
+    if len(parts) == 1:
+        return parts[0].columns.frames(*parts[0].bounds)
     middle = len(parts) // 2
     columns, high = parts[middle].columns, parts[middle].bounds[1]
-    low = parts[max(0, middle - 1)].bounds[0]
-    before, behind = parts[: max(0, middle - 1)], parts[middle + 1 :]
+    low = parts[middle - 1].bounds[0]
+    before, behind = parts[: middle - 1], parts[middle + 1 :]
     if before or behind:
         sizes = [sum(b - a for a, b in (p.bounds for p in ps)) for ps in (before, behind)]
         moved = columns.reserve(

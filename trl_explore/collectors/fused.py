@@ -117,6 +117,8 @@ class FusedCollector(EpisodeCollector):
     def _divide(self, trials: NDArray[np.int64], episodes: NDArray[np.int64]) -> list[Part]:
         """A part of the episodes for each thread, but no small ones."""
         count = max(1, min(self.threads, len(trials) // MIN_TRIALS))
+        if count == 1:
+            return [Part(self._columns[0], self._scratches[0], trials, episodes)]
         edges = [len(trials) * i // count for i in range(count + 1)]
         # The two parts in the middle share the first columns, of which one fills the frames
         # before the middle, and the other those behind it.
