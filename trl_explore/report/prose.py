@@ -32,7 +32,8 @@ def question(evidence: Evidence) -> str:
     names = list(dict.fromkeys(o.strategy for o in evidence.outcomes))
     known = [n for n in STRATEGIES if n in names] + [n for n in names if n not in STRATEGIES]
     factors = [part.group.crossed.of for part in evidence.groups if part.group.crossed is not None]
-    also = "".join(f" and, where it says so, their {name}" for name in dict.fromkeys(factors))
+    names = " or ".join(f"their {name}" for name in dict.fromkeys(factors))
+    also = f" and, where it says so, {names}" if names else ""
     items = "".join(
         f"<li><b>{escape(strategy_label(n))}</b>"
         f"{': ' + escape(STRATEGIES[n]) if n in STRATEGIES else ''}</li>"
