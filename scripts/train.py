@@ -200,6 +200,8 @@ def main() -> int:
     logging.getLogger("trl_explore").setLevel(logging.INFO)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # hand errors over instead of printing tracebacks
     configuration.register_resolvers()
+    # Wherever -m stands: argparse takes no overrides after a flag between them.
+    sys.argv[1:] = sorted(sys.argv[1:], key=lambda word: word not in ("-m", "--multirun"))
     try:
         return sweep()
     except Interrupted as error:
