@@ -65,3 +65,11 @@ class Outcomes:
     def durations(self) -> NDArray[np.int64]:
         """Iterations to convergence, or to censoring [n_trials]: a diverged trial at the cap."""
         return np.where(self.status == "diverged", self.cap, self.iterations)
+
+    @property
+    def cut_short(self) -> bool:
+        """Whether the cap comes before the first full window, so that no trial could converge."""
+        per_update = self.config.get("episodes_per_update", 1)
+        if self.config.get("stop_on") == "evaluation" or not isinstance(per_update, int):
+            return False
+        return self.cap * per_update < self.window

@@ -154,8 +154,10 @@ def _group_evidence(
         ),
         comparisons=comparisons,
         incomparable=incomparable,
-        sentences=tuple(map(readable, _sentences(group, comparisons, level)))
-        + _too_few(comparisons),
+        sentences=(
+            *map(readable, _sentences(group, comparisons, level)),
+            *(_cut_short(group) or _too_few(comparisons)),
+        ),
         traces=traces,
         level=level,
         resamples=resamples,
@@ -185,6 +187,16 @@ def _too_few(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
         f"That says nothing of their size: {n} trials are too few to tell any two configurations"
         f" apart. The test{corrected} needs at least {fewest} trials of each, even of differences"
         " that are the same in every trial.",
+    )
+
+
+def _cut_short(group: Group) -> tuple[str, ...]:
+    """A warning where the cap ends every trial before its first full window; else nothing."""
+    if not all(c.cut_short for c in group.configurations):
+        return ()
+    return (
+        f"No trial could pass: the cap of {group.cap:,} iterations ends it before it has the"
+        f" {group.window:,} episodes over which its score is taken.",
     )
 
 

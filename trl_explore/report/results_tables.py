@@ -185,7 +185,7 @@ def _count(x: float) -> str:
 
 
 def _one(x: float) -> str:
-    return f"{x:.1f}"
+    return f"{x:.1f}".replace("-", "−")
 
 
 def _percent(x: float) -> str:
