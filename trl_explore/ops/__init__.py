@@ -6,6 +6,7 @@ every sum runs in the order of the frames, so that a trial does not depend on it
 """
 
 from trl_explore.ops.activation import activate
+from trl_explore.ops.exponential import exp32, log1p32, log32
 from trl_explore.ops.gaussian import gaussian_entropy, gaussian_log_prob
 from trl_explore.ops.linear import lane_linear
 from trl_explore.ops.log_prob import categorical_log_prob
@@ -15,10 +16,13 @@ from trl_explore.ops.score import lane_sum, linear_softmax_score
 __all__ = [
     "activate",
     "categorical_log_prob",
+    "exp32",
     "gaussian_entropy",
     "gaussian_log_prob",
     "lane_linear",
     "lane_sum",
     "linear_softmax_score",
+    "log1p32",
+    "log32",
     "return_to_go",
 ]
