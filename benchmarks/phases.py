@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from typing import Any
 from unittest import mock
 
-import torch
 from runs import CAP, Run, build, train
 
 from trl_explore import trainer as trainer_module
 from trl_explore.trainer import Trainer
 
-PHASES = ("collect", "outcomes", "loss", "backward", "optimiser", "record")
+PHASES = ("collect", "outcomes", "loss", "optimiser", "check", "record")
+"""The loss with its gradient; the check is whether loss and weights are finite."""
 
 
 class Clock:
@@ -38,14 +38,15 @@ class Clock:
 
 @contextmanager
 def wrapped(trainer: Trainer, clock: Clock) -> Iterator[None]:
-    """Inside, the parts of ``trainer`` are timed; a backward pass of any tensor is, too."""
+    """Inside, the parts of ``trainer`` are timed."""
     parts = (
         (trainer.collector, "collect", "collect"),
         (trainer_module, "outcomes", "outcomes"),
-        (trainer, "loss", "loss"),
-        (torch.Tensor, "backward", "backward"),
+        (trainer.loss, "backward", "loss"),
+        (trainer.loss, "step", "loss"),
         (trainer.optimizer, "zero_grad", "optimiser"),
         (trainer.optimizer, "step", "optimiser"),
+        (trainer, "_diverged", "check"),
         (trainer.trials, "record", "record"),
     )
     patches = [

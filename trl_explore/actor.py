@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property, singledispatch
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -12,7 +12,7 @@ from tensordict.nn import (
     ProbabilisticTensorDictSequential,
     TensorDictModule,
 )
-from torch import Tensor
+from torch import Tensor, nn
 from torch.distributions import Categorical as TorchCategorical
 from torch.distributions import Distribution
 from torchrl.modules import IndependentNormal, ProbabilisticActor
@@ -185,7 +185,6 @@ def frame_distribution(
     return SoftmaxCategorical(actor[0](tensordict.copy()).get("logits"), mask)
 
 
-@singledispatch
 def score_sum(
     actor: ProbabilisticTensorDictSequential,
     tensordict: TensorDictBase,
@@ -210,22 +209,25 @@ def score_sum(
     Raises:
         ValueError: if the actor gives more than one log-probability per frame.
     """
-    log_prob = frame_log_prob(actor, tensordict, action)
-    return lane_sum(log_prob * advantage, trial, trials)
-
-
-@score_sum.register
-def _(
-    actor: SoftmaxActor,
-    tensordict: TensorDictBase,
-    action: Tensor,
-    advantage: Tensor,
-    trial: Tensor,
-    trials: int,
-) -> Tensor:
-    policy, masked = actor[0], actor.masked or "action_mask" in tensordict
-    if isinstance(policy, LinearPolicy) and not masked and len(policy.weight) == trials:
+    weight = linear_weight(actor, tensordict, trials)
+    if weight is not None:
         observation = tensordict.get("observation")
-        return linear_softmax_score(observation, policy.weight, action, advantage, trial)
+        return linear_softmax_score(observation, weight, action, advantage, trial)
     log_prob = frame_log_prob(actor, tensordict, action)
     return lane_sum(log_prob * advantage, trial, trials)
+
+
+def linear_weight(
+    actor: ProbabilisticTensorDictSequential, tensordict: TensorDictBase, trials: int
+) -> nn.Parameter | None:
+    """W [trials, n_actions, n_features], where π = softmax(W[trial] observation), without a mask.
+
+    None: π is something else.
+    """
+    if not isinstance(actor, SoftmaxActor) or actor.masked or "action_mask" in tensordict:
+        return None
+    policy = actor[0]
+    if not isinstance(policy, LinearPolicy):
+        return None
+    weight = policy.weight
+    return weight if len(weight) == trials else None

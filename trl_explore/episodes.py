@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
+from trl_explore.compiled import compiled
 from trl_explore.ops import lane_sum, return_to_go
 
 
@@ -115,6 +118,69 @@ class Episodes:
         return torch.bincount(self.owner, minlength=self.trials)
 
 
+class Keys(Protocol):
+    """The names of the entries that ``read_episodes`` reads."""
+
+    reward: NestedKey
+    done: NestedKey
+    trial: NestedKey
+
+
+def read_episodes(
+    tensordict: TensorDictBase,
+    keys: Keys,
+    mask_keys: Iterable[NestedKey],
+    trials: int | None,
+    gamma: float,
+) -> tuple[Episodes, Tensor | None]:
+    """Flat frames, and which of the data [*batch] they are; None: all.
+
+    Args:
+        tensordict: data in a layout that ``ReinforceLoss`` describes.
+        keys: the names of the entries.
+        mask_keys: entries that mark the valid frames, where the data have them.
+        trials: the number of trials; None: the largest of the data plus one.
+        gamma: discount γ.
+
+    Raises:
+        KeyError: if the data lack an entry.
+    """
+    after = entry(tensordict, "next")
+    reward = entry(after, keys.reward).detach().squeeze(-1)
+    done = entry(after, keys.done).squeeze(-1)
+    trial = tensordict.get(keys.trial, None)
+    if trial is None:
+        rows = reward.shape[:-1]
+        trial = torch.arange(rows.numel(), device=reward.device).reshape(*rows, 1)
+        trial = trial.expand(reward.shape)
+    if trials is None:
+        trials = int(trial.max()) + 1 if trial.numel() else 0
+    masks = [mask for key in mask_keys if (mask := tensordict.get(key, None)) is not None]
+    mask = torch.stack([mask.reshape(done.shape) for mask in masks]).all(0) if masks else None
+    if reward.ndim == 1 and mask is None:
+        return Episodes(tensordict, reward, done, trial, trials, gamma), None
+    # Rows, and what is before padding, may break off before they are done.
+    done = done.clone()
+    done[..., -1:] = True
+    if mask is not None:
+        done[..., :-1] |= ~mask[..., 1:]
+    columns: list[Any] = [tensordict, reward, done, trial]
+    flat = [x.reshape(-1) if mask is None else x[mask] for x in columns]
+    return Episodes(flat[0], flat[1], flat[2], flat[3], trials, gamma), mask
+
+
+def entry(tensordict: TensorDictBase, key: NestedKey) -> Any:
+    """What the data have under a name.
+
+    Raises:
+        KeyError: if they have nothing.
+    """
+    value = tensordict.get(key, None)
+    if value is None:
+        raise KeyError(f"the data have no entry {key!r}")
+    return value
+
+
 def outcomes(
     data: TensorDictBase, episodes_per_update: int = 1
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -122,11 +188,35 @@ def outcomes(
 
     Returns:
         Each [active], or [active, k] where every trial has k > 1 episodes.
+
+    Raises:
+        ValueError: if the data are not whole episodes.
     """
     after = data.get("next")
-    last = np.flatnonzero(after.get("done").numpy())
-    scores = after.get("episode_reward").numpy()[last, 0].astype(np.float64)
-    frames = after.get("step_count").numpy()[last, 0]
+    names = ("done", "step_count", "episode_reward")
+    found = _outcomes(*(entry(after, name).numpy() for name in names))
+    if found is None:
+        raise ValueError("the data are not whole episodes, each with its step_count from 1 on")
+    scores, frames = found
     if episodes_per_update == 1:
         return scores, frames
     return scores.reshape(-1, episodes_per_update), frames.reshape(-1, episodes_per_update)
+
+
+@compiled()
+def _outcomes(done, step_count, episode_reward):
+    """From the last frame to the one before its episode, and so on; [frames, 1] each."""
+    count, place = 0, len(done) - 1
+    while place >= 0:
+        steps = step_count[place, 0]
+        if steps < 1 or steps > place + 1 or not done[place, 0]:
+            return None
+        place -= steps
+        count += 1
+    scores, frames = np.empty(count), np.empty(count, dtype=np.int64)
+    place = len(done) - 1
+    while count > 0:
+        count -= 1
+        scores[count], frames[count] = episode_reward[place, 0], step_count[place, 0]
+        place -= frames[count]
+    return scores, frames

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
@@ -12,11 +11,12 @@ from tensordict.nn import ProbabilisticTensorDictSequential, dispatch
 from torch import Tensor
 from torchrl.objectives.common import LossModule
 
-from trl_explore.actor import frame_distribution, frame_log_prob, score_sum
+from trl_explore.actor import frame_distribution, frame_log_prob, linear_weight, score_sum
 from trl_explore.baselines import Baseline, as_baseline
 from trl_explore.checks import check_integer, check_number
 from trl_explore.corrections import Correction, NoCorrection, log_ratio_of
-from trl_explore.episodes import Episodes
+from trl_explore.episodes import Episodes, entry, read_episodes
+from trl_explore.ops import linear_softmax_gradient, serves
 from trl_explore.strategies import BaseStrategy
 
 REDUCTIONS = ("sum", "mean", "none")
@@ -174,12 +174,12 @@ class ReinforceLoss(LossModule):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The losses of a batch of episodes."""
         episodes, _ = self._episodes(tensordict)
-        action = _entry(episodes.tensordict, self.tensor_keys.action)
-        trial, trials = episodes.trial, episodes.trials
+        frames, trial, trials = episodes.tensordict, episodes.trial, episodes.trials
+        action = entry(frames, self.tensor_keys.action)
         with self._with_parameters():
-            factor = self._factor(episodes, action).mul_(-self.weight)
-            frames = episodes.tensordict
-            trial_loss = score_sum(self.actor_network, frames, action, factor, trial, trials)
+            factor = self._factor(episodes, action)
+            score = score_sum(self.actor_network, frames, action, factor, trial, trials)
+            trial_loss = score * -self.weight
             if self.entropy_coeff:
                 entropy: Tensor = frame_distribution(self.actor_network, frames).entropy()
                 bonus = episodes.by_trial(entropy.reshape(-1))
@@ -190,13 +190,72 @@ class ReinforceLoss(LossModule):
             out["loss_value"] = self._reduce(value_loss)
         return TensorDict._new_unsafe(out, batch_size=torch.Size([]))
 
+    def backward(self, tensordict: TensorDictBase) -> Tensor:
+        """Add the gradients of the losses to those of the parameters, and return "trial_loss".
+
+        The losses are called and differentiated, those of trials not reduced by their sum. Where π
+        is the softmax of a linear policy its gradient is known without a graph, and that takes a
+        part of the time; it is the same one, bit for bit.
+
+        Example:
+            >>> from trl_explore.actor import actor_of
+            >>> from trl_explore.envs import make_env
+            >>> from trl_explore.policies import LinearPolicy
+            >>> policy = LinearPolicy(make_env("CartPole-v1", trials=1), init="zeros")
+            >>> data = TensorDict({
+            ...     "observation": torch.ones(1, 4),
+            ...     "action": torch.tensor([1]),
+            ...     "trial": torch.tensor([0]),
+            ...     "next": {"reward": torch.ones(1, 1), "done": torch.ones(1, 1).bool()},
+            ... }, [1])
+            >>> loss = ReinforceLoss(actor_of(policy), weight=1.0, functional=False)
+            >>> loss.backward(data)
+            tensor([0.6931])
+            >>> policy.weight.grad[0, :, 0].tolist()
+            [0.5, -0.5]
+        """
+        trial_loss = self._without_graph(tensordict)
+        if trial_loss is None:
+            losses = self(tensordict)
+            total = losses.get("loss_actor").sum()
+            value_loss = losses.get("loss_value", None)
+            (total if value_loss is None else total + value_loss.sum()).backward()
+            trial_loss = losses.get("trial_loss")
+        return trial_loss
+
+    def _without_graph(self, tensordict: TensorDictBase) -> Tensor | None:
+        """``backward`` where the gradient has a formula; None, and nothing is done, elsewhere."""
+        if self.entropy_coeff or self.reduction == "mean":
+            return None
+        if type(self).forward is not ReinforceLoss.forward:  # the loss is something else
+            return None
+        episodes, _ = self._episodes(tensordict)
+        frames, actor = episodes.tensordict, self.actor_network
+        with self._with_parameters():
+            weight = linear_weight(actor, frames, episodes.trials)
+            if weight is None or not (weight.requires_grad and weight.is_leaf):
+                return None
+            observation, action = frames.get("observation"), entry(frames, self.tensor_keys.action)
+            factor = self._factor(episodes, action)
+        if not serves(observation, weight, factor):
+            return None
+        score, gradient = linear_softmax_gradient(
+            observation, weight, action, factor, episodes.trial
+        )
+        gradient.mul_(-self.weight)
+        weight.grad = gradient if weight.grad is None else weight.grad.add_(gradient)
+        value_loss = self.baseline.loss(episodes)
+        if value_loss is not None:
+            value_loss.sum().backward()
+        return score.mul_(-self.weight)
+
     def advantage(self, tensordict: TensorDictBase) -> Tensor:
         """The factor of ∇log π(a_t|s_t) for every frame, in the shape of the data [*batch].
 
         G_t − b_t where nothing is corrected; 0 for padding.
         """
         episodes, mask = self._episodes(tensordict)
-        action = _entry(episodes.tensordict, self.tensor_keys.action)
+        action = entry(episodes.tensordict, self.tensor_keys.action)
         with self._with_parameters():
             flat = self._factor(episodes, action)
         if mask is None:
@@ -212,10 +271,10 @@ class ReinforceLoss(LossModule):
 
     @torch.no_grad()
     def _factor(self, episodes: Episodes, action: Tensor) -> Tensor:
-        """The factor of ∇log π of every frame [frames], in memory of its own."""
+        """The factor of ∇log π of every frame [frames]."""
         log_ratio = None
         if self.correction.needs_log_prob:
-            behaviour = _entry(episodes.tensordict, self.tensor_keys.sample_log_prob)
+            behaviour = entry(episodes.tensordict, self.tensor_keys.sample_log_prob)
             target = frame_log_prob(self.actor_network, episodes.tensordict, action)
             log_ratio = log_ratio_of(target, behaviour.reshape(-1))
         baseline = self.baseline(episodes)
@@ -230,49 +289,13 @@ class ReinforceLoss(LossModule):
 
     def _episodes(self, tensordict: TensorDictBase) -> tuple[Episodes, Tensor | None]:
         """Flat frames, and which of the data [*batch] they are; None: all."""
-        after = _entry(tensordict, "next")
-        reward = _entry(after, self.tensor_keys.reward).detach().squeeze(-1)
-        done = _entry(after, self.tensor_keys.done).squeeze(-1)
-        trial, trials = self._trial(tensordict, reward)
-        mask = self._mask(tensordict)
-        if reward.ndim > 1 or mask is not None:
-            # Rows, and what is before padding, may break off before they are done.
-            done = done.clone()
-            done[..., -1:] = True
-            if mask is not None:
-                done[..., :-1] |= ~mask[..., 1:]
-        flat: list[Any] = [tensordict, reward, done, trial]
-        if mask is not None:
-            flat = [x[mask] for x in flat]
-        elif reward.ndim > 1:
-            flat = [x.reshape(-1) for x in flat]
-        frames, reward, done, trial = flat
-        return Episodes(frames, reward, done, trial, trials, self.gamma), mask
+        masks = self._loss_mask_keys()
+        return read_episodes(tensordict, self.tensor_keys, masks, self.trials, self.gamma)
 
     def _with_parameters(self) -> contextlib.AbstractContextManager[object]:
         if self.functional:
             return self.actor_network_params.to_module(self.actor_network)
         return contextlib.nullcontext()
-
-    def _trial(self, tensordict: TensorDictBase, reward: Tensor) -> tuple[Tensor, int]:
-        """The trial of every frame [*batch], and the number of trials."""
-        trial = tensordict.get(self.tensor_keys.trial, None)
-        if trial is None:
-            rows = reward.shape[:-1]
-            trial = torch.arange(rows.numel(), device=reward.device).reshape(*rows, 1)
-            trial = trial.expand(reward.shape)
-        if self.trials is not None:
-            return trial, self.trials
-        return trial, int(trial.max()) + 1 if trial.numel() else 0
-
-    def _mask(self, tensordict: TensorDictBase) -> Tensor | None:
-        """Which frames are valid [*batch], where TorchRL has marked them (``loss_mask_key``)."""
-        masks = [tensordict.get(key, None) for key in self._loss_mask_keys()]
-        found = [mask for mask in masks if mask is not None]
-        if not found:
-            return None
-        shape = tensordict.get(("next", self.tensor_keys.done)).shape[:-1]
-        return torch.stack([mask.reshape(shape) for mask in found]).all(0)
 
     def _reduce(self, trial_loss: Tensor) -> Tensor:
         if self.reduction == "sum":
@@ -283,11 +306,4 @@ class ReinforceLoss(LossModule):
 def _check_bool(name: str, value: bool) -> bool:
     if not isinstance(value, bool):
         raise ValueError(f"{name} must be true or false, got {value!r}")
-    return value
-
-
-def _entry(tensordict: TensorDictBase, key: NestedKey) -> Any:
-    value = tensordict.get(key, None)
-    if value is None:
-        raise KeyError(f"the data have no entry {key!r}")
     return value

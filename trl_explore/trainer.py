@@ -15,7 +15,7 @@ from trl_explore.collectors import EpisodeCollector
 from trl_explore.diagnostics import Diagnostics
 from trl_explore.episodes import outcomes
 from trl_explore.evaluation import Evaluator
-from trl_explore.optim import TrialOptimizer
+from trl_explore.optim import TrialOptimizer, Views, all_finite
 from trl_explore.trials import Trials
 
 
@@ -24,8 +24,8 @@ class TrialLoss(Protocol):
 
     reduction: str
 
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The entries "loss_actor", "trial_loss" [trials], and perhaps "loss_value"."""
+    def backward(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """Add the gradients of all losses to those of the parameters; the loss of each trial."""
         ...
 
     def step(self, tensordict: TensorDictBase) -> None:
@@ -78,6 +78,7 @@ class Trainer:
         self.stop_on_evaluation = stop_on_evaluation
         self.diagnostics = diagnostics
         self.on_iteration = on_iteration
+        self._weights = Views(optimizer.parameters)
         self.seconds = 0.0
         """Wall time of the training so far; that before an interruption counts [s]."""
         parts = {
@@ -159,21 +160,17 @@ class Trainer:
 
     def _update(self, data: TensorDictBase, active: NDArray[np.bool_]) -> torch.Tensor:
         self.optimizer.zero_grad()
-        losses = self.loss(data)
-        loss = losses.get("loss_actor")
-        loss = loss if loss.ndim == 0 else loss.sum()
-        value_loss = losses.get("loss_value", None)
-        (loss if value_loss is None else loss + value_loss.sum()).backward()
+        trial_loss = self.loss.backward(data)
         if self.diagnostics is not None:
             self.diagnostics.record(data, active)
         self.optimizer.step(torch.from_numpy(active))
         self.loss.step(data)
-        return losses.get("trial_loss")
+        return trial_loss
 
     def _diverged(self, trial_loss: torch.Tensor, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether an active trial's loss or one of its weights is not finite [active]."""
-        rows = [trial_loss.numpy(), *(p.detach().numpy() for p in self.optimizer.parameters)]
-        if np.isfinite(sum(float(np.add.reduce(row, axis=None, dtype=np.float64)) for row in rows)):
+        rows = [trial_loss.numpy(), *self._weights()]
+        if all(map(all_finite, rows)):
             return np.zeros(np.count_nonzero(active), dtype=np.bool_)
         finite = [np.isfinite(row.reshape(len(row), -1)).all(axis=1) for row in rows]
         return ~np.logical_and.reduce(finite)[active]

@@ -1,5 +1,8 @@
 """What is known of every trial while it runs: scores, stopping rule, status."""
 
+# numba rewrites signatures:
+# pyright: reportCallIssue=false
+
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -9,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.checks import check_integer, check_number
+from trl_explore.compiled import compiled
+from trl_explore.kernels import borrow as borrow_module
+from trl_explore.kernels.borrow import borrow
 
 ACTIVE, CONVERGED, CAPPED, DIVERGED = "active", "converged", "capped", "diverged"
 STATUSES = (ACTIVE, CONVERGED, CAPPED, DIVERGED)
@@ -88,25 +94,21 @@ class Trials:
         trial = np.flatnonzero(self.active)
         self._episodes.append((trial, scores, frames))
         columns = scores.reshape(len(trial), -1)
-        k = columns.shape[1]
-        for j in range(k):
-            self._window[trial, (self._n_episodes + j) % self.score_window] = columns[:, j]
-        self._n_episodes += k
-        filled = min(self._n_episodes, self.score_window)
-        mean = np.add.reduce(self._window[trial, :filled], axis=1) / filled
-        self.score[trial] = mean
-        self._episode_score[trial] = scores if k == 1 and scores.ndim == 1 else columns.mean(1)
-        self.iterations[trial] += 1
-        self.frames[trial] += frames if frames.ndim == 1 else frames.sum(1)
-        self.seconds[trial] = seconds
+        first, width = self._n_episodes, columns.shape[1]
+        self._n_episodes += width
+        highest = _enter(
+            trial, columns, frames.reshape(columns.shape), first % self.score_window,
+            min(self._n_episodes, self.score_window), seconds, *(getattr(self, n) for n in _ROWS),
+        )  # fmt: skip
 
         # In its last iteration a trial counts with its episode, from then on with its final score.
         episode_score = np.add.reduce(self._episode_score) / len(self)
         full = self._n_episodes >= self.score_window
-        own = (mean > self.score_threshold) & full
-        passed = np.logical_and(own if passed is None else passed, ~diverged)
-        if passed.any() or diverged.any() or self.iteration >= self.max_iterations:
-            self._stop(trial, passed, diverged)
+        some = (full and highest > self.score_threshold) if passed is None else passed.any()
+        if some or diverged.any() or self.iteration >= self.max_iterations:
+            if passed is None:
+                passed = (self.score[trial] > self.score_threshold) & full
+            self._stop(trial, passed & ~diverged, diverged)
         score = np.add.reduce(self.score) / len(self)
         active = int(np.count_nonzero(self.active))
         self._curves.append((episode_score, score, active, self._n_converged))
@@ -210,6 +212,46 @@ class Trials:
 
 _ROWS = ("iterations", "frames", "seconds", "score", "_episode_score", "_window")
 """The arrays with one row for each trial."""
+
+
+@compiled(borrow_module)
+def _enter(
+    trial, scores, counts, first, filled, now, iterations, frames, seconds, score, episode_score,
+    window,
+):  # fmt: skip
+    """Enter the episodes [active, k] of an iteration in the rows; the highest of the scores.
+
+    The mean of a window is a sum of eight sums, as numpy's are.
+    """
+    size, highest = window.shape[1], -np.inf
+    own_sums = np.zeros(8)
+    sums, window = borrow(own_sums), borrow(window)
+    for j in range(len(trial)):
+        row, total, steps = trial[j], 0.0, 0
+        for e in range(scores.shape[1]):
+            window[row, (first + e) % size] = scores[j, e]
+            total += scores[j, e]
+            steps += counts[j, e]
+        iterations[row] += 1
+        frames[row] += steps
+        seconds[row] = now
+        episode_score[row] = total / scores.shape[1]
+        recent = window[row, :filled]
+        total = 0.0
+        whole = filled - filled % 8
+        if whole > 0:
+            sums[:] = recent[:8]
+            for f in range(8, whole, 8):
+                sums += recent[f : f + 8]
+            low = (sums[0] + sums[1]) + (sums[2] + sums[3])
+            total = low + ((sums[4] + sums[5]) + (sums[6] + sums[7]))
+        for f in range(whole, filled):
+            total += recent[f]
+        score[row] = total / filled
+        if score[row] > highest:
+            highest = score[row]
+    own_sums[0] = 0  # keeps it alive to here
+    return highest
 
 
 def _small(values: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from trl_explore.ops import lane_sum, linear_softmax_score, score
+from trl_explore.ops import lane_sum, linear_softmax_score, score, score_kernels
 
 
 def plain(observation, weight, action, advantage, trial):
@@ -163,8 +163,8 @@ def test_passing_over_zeros_changes_no_bit(sparse, dtype, monkeypatch):
         state = torch.randint(16, (600,), generator=torch.Generator().manual_seed(1))
         given[0] = torch.nn.functional.one_hot(state, 16).to(dtype)
     results = []
-    for kernel in (score._score, score._score_sparse):
-        monkeypatch.setattr(score, "_kernel", lambda *_, kernel=kernel: kernel)
+    for kernel in (score_kernels.score, score_kernels.score_sparse):
+        monkeypatch.setattr(score, "score_kernel", lambda *_, kernel=kernel: kernel)
         results.append(value_and_gradient(linear_softmax_score, *given))
     for dense, passed_over in zip(*results, strict=True):
         assert dense.abs().min() > 0
@@ -173,10 +173,10 @@ def test_passing_over_zeros_changes_no_bit(sparse, dtype, monkeypatch):
 
 def test_which_kernel_serves():
     one_hot, dense = torch.eye(16).numpy(), torch.ones(3, 16).numpy()
-    assert score._kernel((5, 4, 16), one_hot) is score._score_sparse
-    assert score._kernel((5, 4, 16), dense) is score._score
-    assert score._kernel((5, 4, 4), one_hot[:, :4]) is score._score
-    assert score._kernel((5, 4, 16), dense[:0]) is score._score
+    assert score_kernels.score_kernel((5, 4, 16), one_hot) is score_kernels.score_sparse
+    assert score_kernels.score_kernel((5, 4, 16), dense) is score_kernels.score
+    assert score_kernels.score_kernel((5, 4, 4), one_hot[:, :4]) is score_kernels.score
+    assert score_kernels.score_kernel((5, 4, 16), dense[:0]) is score_kernels.score
 
 
 @pytest.mark.parametrize(("action", "trial"), [(-1, 0), (9, 0), (0, -1), (0, 4)])
@@ -213,3 +213,25 @@ def test_features_that_do_not_fit(n_actions, n_features):
     given[0] = torch.ones(9, n_features, dtype=torch.float64)[:6]
     with pytest.raises((ValueError, RuntimeError, IndexError)):
         linear_softmax_score(*given)
+
+
+@pytest.mark.parametrize("n_actions", [2, 3])
+@pytest.mark.parametrize("n_features", [1, 4, 7, 17])
+def test_sums_of_many_frames_are_those_in_double(n_actions, n_features):
+    """Trials of all lengths about those of the blocks, each to a few units in the last place."""
+    lengths = [1, 2, 7, 8, 9, 255, 256, 257, 264, 600, 1500]
+    given = problem(sum(lengths), len(lengths), n_actions, n_features, torch.float32)
+    given = [given[0], 0.3 * given[1], given[2], 20 + 5 * given[3]]
+    trial = torch.repeat_interleave(torch.arange(len(lengths)), torch.tensor(lengths))
+    value, gradient = value_and_gradient(linear_softmax_score, *given, trial)
+    exact = [x.double() if x.is_floating_point() else x for x in given]
+    logits = (exact[1][trial] @ exact[0].unsqueeze(-1)).squeeze(-1)
+    log_prob = logits.log_softmax(-1).gather(1, exact[2].unsqueeze(1)).squeeze(1)
+    total = lane_sum(log_prob * exact[3], trial, len(lengths))
+    torch.testing.assert_close(value.double(), total, rtol=1e-6, atol=0)
+    share = torch.nn.functional.one_hot(exact[2], n_actions) - logits.softmax(-1)
+    terms = (share * exact[3].unsqueeze(-1)).unsqueeze(-1) * exact[0].unsqueeze(1)
+    for k in range(len(lengths)):
+        rows = trial == k
+        error = (gradient[k].double() / (k + 1) - terms[rows].sum(0)).abs()
+        assert (error <= 1e-6 * terms[rows].abs().sum(0)).all()

@@ -5,6 +5,7 @@ from trl_explore.report.curves import running_scores
 from trl_explore.report.evidence import gather
 from trl_explore.report.groups import group_jobs
 from trl_explore.report.loading import load
+from trl_explore.report.prose import group_facts
 
 
 def test_different_caps_stand_in_one_report_but_are_not_compared(tmp_path, make_job):
@@ -23,6 +24,20 @@ def test_different_environments_are_not_compared(tmp_path, make_job):
     make_job(tmp_path / "train", "a", [150, 200], env="CartPole-v1")
     make_job(tmp_path / "train", "b", [150, 200], env="Acrobot-v1", strategy="argmax")
     assert len(group_jobs(load([tmp_path]).jobs)) == 2
+
+
+def test_trials_stopped_by_evaluation_stand_beside_those_stopped_by_training(tmp_path, make_job):
+    """They are the same agents, of which one job must not push the other out of the report."""
+    make_job(tmp_path / "train", "softmax", [150, 200])
+    make_job(tmp_path / "train", "softmax,stop_on=evaluation", [105, 110], evaluate_every=5,
+             stop_on="evaluation")  # fmt: skip
+    groups = group_jobs(load([tmp_path]).jobs)
+    means = {c.judged_by: c.iterations.mean() for g in groups for c in g.configurations}
+    assert means == {"training": 175, "evaluation (1 every 5 iterations)": 107.5}
+    texts = sorted(group_facts(group) for group in groups)
+    assert texts[0].endswith("over 100 episodes of evaluation (1 every 5 iterations), cap 1,000"
+                             " iterations.")  # fmt: skip
+    assert texts[1].endswith("over 100 episodes, cap 1,000 iterations.")
 
 
 def test_seeds_of_a_configuration_are_pooled(tmp_path, make_job):

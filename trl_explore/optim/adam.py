@@ -14,6 +14,7 @@ from torch import Tensor
 
 from trl_explore.checks import check_number
 from trl_explore.optim.base import Parameters, grouped
+from trl_explore.optim.views import Views
 
 
 class LaneAdam:
@@ -57,6 +58,7 @@ class LaneAdam:
         self.steps = 0
         self.exp_avg = [torch.zeros_like(p, requires_grad=False) for p in self.parameters]
         self.exp_avg_sq = [torch.zeros_like(p, requires_grad=False) for p in self.parameters]
+        self._views = [Views(t) for t in (self.parameters, self.exp_avg, self.exp_avg_sq)]
 
     def zero_grad(self) -> None:
         """Forget the gradients."""
@@ -68,16 +70,15 @@ class LaneAdam:
         self.steps += 1
         correction1 = 1 - self.beta1**self.steps
         correction2 = 1 - self.beta2**self.steps
-        lanes = zip(self.parameters, self.exp_avg, self.exp_avg_sq, self.rates, strict=True)
-        for p, m, v, lr in lanes:
-            if p.grad is None:
+        which = None if active is None else active.numpy()
+        lanes = zip(self.parameters, self.rates, *(views() for views in self._views), strict=True)
+        for parameter, lr, p, m, v in lanes:
+            if parameter.grad is None:
                 continue
-            rows = len(p)
-            which = np.ones(rows, dtype=np.bool_) if active is None else active.numpy()
-            arrays = (t.detach().view(rows, -1).numpy() for t in (p, m, v))
-            gradient = p.grad.reshape(rows, -1).numpy()
+            rows = np.ones(len(p), dtype=np.bool_) if which is None else which
+            gradient = parameter.grad.reshape(p.shape).numpy()
             _adam(
-                which, *arrays, gradient, self.beta1, self.beta2, self.eps,
+                rows, p, m, v, gradient, self.beta1, self.beta2, self.eps,
                 lr / correction1, correction2**0.5,
             )  # fmt: skip
 

@@ -78,7 +78,7 @@ def method(evidence: Evidence) -> str:
         " table; two configurations are told apart only where interval and corrected test both"
         " exclude zero. The log-rank test, which ignores the pairs, stands beside it as a second"
         " opinion. “Variance kept by pairing” below 1 says that pairing helped. Configurations"
-        " with different caps or thresholds are never compared. Where strategies are crossed with"
+        " stopped by different rules are never compared. Where strategies are crossed with"
         " options (corrections, baselines, policies), only the pairs that were asked about are"
         " tested and corrected for: each option against the first, strategy by strategy; on a map,"
         " each point against the thesis’s softmax.</p>"
@@ -151,9 +151,11 @@ def group_facts(group: Group) -> str:
     trials = f"{counts[0]:,}" if len(counts) == 1 else f"{counts[0]:,} to {counts[-1]:,}"
     n = len(group.configurations)
     what = "1 configuration" if n == 1 else f"{n} configurations"
+    judged_by = group.configurations[0].judged_by
+    whose = "" if judged_by == "training" else f" of {escape(judged_by)}"
     return (
         f"{what} × {trials} trials of {escape(group.environment)}, passed above"
-        f" {group.threshold:g} over {group.window} episodes, cap {group.cap:,} iterations."
+        f" {group.threshold:g} over {group.window} episodes{whose}, cap {group.cap:,} iterations."
     )
 
 

@@ -53,6 +53,8 @@ class ParameterNoise(MixtureStrategy):
         ValueError: if an argument is out of range, or the policy's parameters are of another form.
     """
 
+    episodic = True
+
     def __init__(
         self,
         sigma: float | Sequence[float] | Schedule = 0.1,
