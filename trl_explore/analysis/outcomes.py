@@ -73,3 +73,11 @@ class Outcomes:
             return "training"
         every, count = self.config.get("evaluate_every"), self.config.get("evaluate_episodes", 1)
         return f"{self.config['stop_on']} ({count} every {every} iterations)"
+
+    @property
+    def cut_short(self) -> bool:
+        """Whether the cap comes before the first full window, so that no trial could converge."""
+        per_update = self.config.get("episodes_per_update", 1)
+        if self.judged_by != "training" or not isinstance(per_update, int):
+            return False
+        return self.cap * per_update < self.window

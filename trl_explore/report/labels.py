@@ -24,6 +24,11 @@ STRATEGIES = {
     "vdbe": "VDBE",
     "count_bonus": "count bonus",
     "parameter_noise": "parameter noise",
+    "gaussian": "Gaussian",
+    "epsilon_uniform": "ε-uniform",
+    "uniform_action": "uniform action",
+    "mean_action": "mean action",
+    "epsilon_mean": "ε-mean",
 }
 SYMBOLS = {
     "epsilon": "ε", "decay": "decay rate", "temperature": "T", "sigma": "σ", "delta": "δ",
