@@ -154,9 +154,8 @@ class FusedCollector(EpisodeCollector):
 
     def _mixture(self) -> NDArray[np.float64]:
         """Weights and temperature [4, 1], or [4, trials] where they differ between trials."""
-        strategy = self.strategy
-        assert isinstance(strategy, MixtureStrategy)
-        point = strategy.mixture()
+        # Compiled code would read beside an array that is too short.
+        point = cast(MixtureStrategy, self.strategy).checked_mixture(self.trials)
         if all(isinstance(value, float) for value in point):
             return np.array(point).reshape(4, 1)
         return np.stack(np.broadcast_arrays(*map(np.atleast_1d, point))).astype(np.float64)

@@ -16,7 +16,8 @@ from torch.func import functional_call
 from trl_explore.checks import check_number
 from trl_explore.ops import lane_sum
 from trl_explore.schedules import Schedule, as_schedule
-from trl_explore.strategies.mixture import Mixture, MixtureStrategy, check_trials
+from trl_explore.strategies.common import check_trials
+from trl_explore.strategies.mixture import Mixture, MixtureStrategy
 from trl_explore.streams import Stream, generator
 
 Parameters = dict[str, Tensor]
