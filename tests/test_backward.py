@@ -226,3 +226,23 @@ def test_a_gradient_kept_stays_as_it_is(world):
     weight.grad = None
     loss.backward(data[: len(data) // 2])
     assert torch.equal(kept, copy)
+
+
+@pytest.mark.parametrize("threads", [2, 3, 7])
+@pytest.mark.parametrize("policy", ["linear", "mlp"])
+def test_the_number_of_threads_does_not_matter(threads, policy, world, monkeypatch):
+    monkeypatch.setattr("trl_explore.threads.MIN_FRAMES", 1)
+    loss, parameters, data = build(world, "CartPole-v1", policy)
+    expected = both_routes(loss, parameters, data)
+    monkeypatch.setattr("trl_explore.threads._threads", threads)
+    for route, before in zip(both_routes(loss, parameters, data), expected, strict=True):
+        for one, other in zip(route, before, strict=True):
+            assert torch.equal(one, other)
+
+
+def test_actions_out_of_range(world):
+    loss, _, data = build(world, "CartPole-v1", "linear")
+    data = data.clone()
+    data["action"][3] = 2
+    with pytest.raises(IndexError, match="an action is not in"):
+        loss.backward(data)

@@ -13,7 +13,8 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
 from trl_explore.compiled import compiled
-from trl_explore.ops import lane_sum, return_to_go
+from trl_explore.ops import lane_sum, return_to_go, runs
+from trl_explore.ops.runs import end_of_episode
 
 
 class Episodes:
@@ -194,7 +195,7 @@ def outcomes(
     """
     after = data.get("next")
     names = ("done", "step_count", "episode_reward")
-    found = _outcomes(*(entry(after, name).numpy() for name in names))
+    found = _outcomes(*(entry(after, name).numpy().reshape(-1) for name in names))
     if found is None:
         raise ValueError("the data are not whole episodes, each with its step_count from 1 on")
     scores, frames = found
@@ -203,20 +204,18 @@ def outcomes(
     return scores.reshape(-1, episodes_per_update), frames.reshape(-1, episodes_per_update)
 
 
-@compiled()
+@compiled(runs)
 def _outcomes(done, step_count, episode_reward):
-    """From the last frame to the one before its episode, and so on; [frames, 1] each."""
-    count, place = 0, len(done) - 1
-    while place >= 0:
-        steps = step_count[place, 0]
-        if steps < 1 or steps > place + 1 or not done[place, 0]:
+    """Of flat columns; None if the last frame is not the end of an episode, or a count is wrong."""
+    frames, ends = len(done), 0
+    for i in range(frames):  # becomes vector instructions
+        ends += done[i]
+    scores, counts = np.empty(ends), np.empty(ends, dtype=np.int64)
+    start = 0
+    for j in range(ends):
+        end = end_of_episode(done, start, frames)
+        scores[j], counts[j] = episode_reward[end - 1], step_count[end - 1]
+        if counts[j] != end - start:
             return None
-        place -= steps
-        count += 1
-    scores, frames = np.empty(count), np.empty(count, dtype=np.int64)
-    place = len(done) - 1
-    while count > 0:
-        count -= 1
-        scores[count], frames[count] = episode_reward[place, 0], step_count[place, 0]
-        place -= frames[count]
-    return scores, frames
+        start = end
+    return (scores, counts) if start == frames else None

@@ -12,11 +12,11 @@ from torch import Tensor
 from torchrl.objectives.common import LossModule
 
 from trl_explore.actor import frame_distribution, frame_log_prob, linear_weight, score_sum
-from trl_explore.baselines import Baseline, as_baseline
-from trl_explore.checks import check_integer, check_number
+from trl_explore.baselines import Baseline, Constant, as_baseline
+from trl_explore.checks import check_flag, check_integer, check_number
 from trl_explore.corrections import Correction, NoCorrection, log_ratio_of
 from trl_explore.episodes import Episodes, entry, read_episodes
-from trl_explore.ops import linear_softmax_gradient, serves
+from trl_explore.ops import linear_softmax_gradient, linear_softmax_reinforce, serves
 from trl_explore.strategies import BaseStrategy
 
 REDUCTIONS = ("sum", "mean", "none")
@@ -133,8 +133,8 @@ class ReinforceLoss(LossModule):
         self.weight = check_number("weight", weight, 0, low_open=True)
         self.baseline = as_baseline(baseline)
         self.correction = correction or NoCorrection()
-        self.discount_steps = _check_bool("discount_steps", discount_steps)
-        self.normalize_advantage = _check_bool("normalize_advantage", normalize_advantage)
+        self.discount_steps = check_flag("discount_steps", discount_steps)
+        self.normalize_advantage = check_flag("normalize_advantage", normalize_advantage)
         self.entropy_coeff = check_number("entropy_coeff", entropy_coeff, 0)
         actor_network = self.correction.actor(actor_network, strategy)  # type: ignore[arg-type]
         self.trials = None if trials is None else check_integer("trials", trials, 1)
@@ -196,23 +196,6 @@ class ReinforceLoss(LossModule):
         The losses are called and differentiated, those of trials not reduced by their sum. Where π
         is the softmax of a linear policy its gradient is known without a graph, and that takes a
         part of the time; it is the same one, bit for bit.
-
-        Example:
-            >>> from trl_explore.actor import actor_of
-            >>> from trl_explore.envs import make_env
-            >>> from trl_explore.policies import LinearPolicy
-            >>> policy = LinearPolicy(make_env("CartPole-v1", trials=1), init="zeros")
-            >>> data = TensorDict({
-            ...     "observation": torch.ones(1, 4),
-            ...     "action": torch.tensor([1]),
-            ...     "trial": torch.tensor([0]),
-            ...     "next": {"reward": torch.ones(1, 1), "done": torch.ones(1, 1).bool()},
-            ... }, [1])
-            >>> loss = ReinforceLoss(actor_of(policy), weight=1.0, functional=False)
-            >>> loss.backward(data)
-            tensor([0.6931])
-            >>> policy.weight.grad[0, :, 0].tolist()
-            [0.5, -0.5]
         """
         trial_loss = self._without_graph(tensordict)
         if trial_loss is None:
@@ -230,24 +213,36 @@ class ReinforceLoss(LossModule):
         if type(self).forward is not ReinforceLoss.forward:  # the loss is something else
             return None
         episodes, _ = self._episodes(tensordict)
-        frames, actor = episodes.tensordict, self.actor_network
+        frames, actor, baseline = episodes.tensordict, self.actor_network, self.baseline
         with self._with_parameters():
             weight = linear_weight(actor, frames, episodes.trials)
             if weight is None or not (weight.requires_grad and weight.is_leaf):
                 return None
             observation, action = frames.get("observation"), entry(frames, self.tensor_keys.action)
-            factor = self._factor(episodes, action)
-        if not serves(observation, weight, factor):
-            return None
-        score, gradient = linear_softmax_gradient(
-            observation, weight, action, factor, episodes.trial
-        )
-        gradient.mul_(-self.weight)
+            if not serves(observation, weight, episodes.reward):
+                return None
+            found, scale, trial = None, -self.weight, episodes.trial
+            if type(baseline) is Constant and self._is_return_alone():
+                found = linear_softmax_reinforce(
+                    observation, weight, action, episodes.reward, episodes.done, trial,
+                    gamma=self.gamma, baseline=baseline.value, scale=scale,
+                )  # fmt: skip
+            if found is None:
+                factor = self._factor(episodes, action)
+                if not serves(observation, weight, factor):
+                    return None
+                found = linear_softmax_gradient(observation, weight, action, factor, trial, scale)
+        trial_loss, gradient = found
         weight.grad = gradient if weight.grad is None else weight.grad.add_(gradient)
-        value_loss = self.baseline.loss(episodes)
+        value_loss = baseline.loss(episodes)
         if value_loss is not None:
             value_loss.sum().backward()
-        return score.mul_(-self.weight)
+        return trial_loss
+
+    def _is_return_alone(self) -> bool:
+        """Whether the factor of ∇log π is the return less the baseline, and no more."""
+        more = self.discount_steps or self.normalize_advantage
+        return type(self.correction) is NoCorrection and not more
 
     def advantage(self, tensordict: TensorDictBase) -> Tensor:
         """The factor of ∇log π(a_t|s_t) for every frame, in the shape of the data [*batch].
@@ -301,9 +296,3 @@ class ReinforceLoss(LossModule):
         if self.reduction == "sum":
             return trial_loss.sum()
         return trial_loss.mean() if self.reduction == "mean" else trial_loss
-
-
-def _check_bool(name: str, value: bool) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError(f"{name} must be true or false, got {value!r}")
-    return value

@@ -15,6 +15,8 @@ from trl_explore.checks import check_integer, check_number
 from trl_explore.compiled import compiled
 from trl_explore.kernels import borrow as borrow_module
 from trl_explore.kernels.borrow import borrow
+from trl_explore.ops import vectors
+from trl_explore.ops.vectors import WIDTH, dot
 
 ACTIVE, CONVERGED, CAPPED, DIVERGED = "active", "converged", "capped", "diverged"
 STATUSES = (ACTIVE, CONVERGED, CAPPED, DIVERGED)
@@ -214,18 +216,14 @@ _ROWS = ("iterations", "frames", "seconds", "score", "_episode_score", "_window"
 """The arrays with one row for each trial."""
 
 
-@compiled(borrow_module)
+@compiled(borrow_module, vectors)
 def _enter(
     trial, scores, counts, first, filled, now, iterations, frames, seconds, score, episode_score,
     window,
 ):  # fmt: skip
-    """Enter the episodes [active, k] of an iteration in the rows; the highest of the scores.
-
-    The mean of a window is a sum of eight sums, as numpy's are.
-    """
+    """Enter the episodes [active, k] of an iteration in the rows; the highest of the scores."""
     size, highest = window.shape[1], -np.inf
-    own_sums = np.zeros(8)
-    sums, window = borrow(own_sums), borrow(window)
+    ones, window = np.ones(size), borrow(window)
     for j in range(len(trial)):
         row, total, steps = trial[j], 0.0, 0
         for e in range(scores.shape[1]):
@@ -237,20 +235,13 @@ def _enter(
         seconds[row] = now
         episode_score[row] = total / scores.shape[1]
         recent = window[row, :filled]
-        total = 0.0
-        whole = filled - filled % 8
-        if whole > 0:
-            sums[:] = recent[:8]
-            for f in range(8, whole, 8):
-                sums += recent[f : f + 8]
-            low = (sums[0] + sums[1]) + (sums[2] + sums[3])
-            total = low + ((sums[4] + sums[5]) + (sums[6] + sums[7]))
-        for f in range(whole, filled):
+        groups = filled // WIDTH
+        total = dot(recent, ones, groups)
+        for f in range(WIDTH * groups, filled):
             total += recent[f]
         score[row] = total / filled
         if score[row] > highest:
             highest = score[row]
-    own_sums[0] = 0  # keeps it alive to here
     return highest
 
 

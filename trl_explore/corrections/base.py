@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
-from trl_explore.checks import check_number
+from trl_explore.checks import check_flag, check_number
 from trl_explore.episodes import Episodes
 from trl_explore.ops import lane_sum
 from trl_explore.strategies import BaseStrategy
@@ -80,9 +80,7 @@ class ImportanceWeights(NoCorrection):
 
     def __init__(self, clip: float | None = None, self_normalize: bool = False) -> None:
         self.clip = None if clip is None else check_number("clip", clip, 0, low_open=True)
-        if not isinstance(self_normalize, bool):
-            raise ValueError(f"self_normalize must be true or false, got {self_normalize!r}")
-        self.self_normalize = self_normalize
+        self.self_normalize = check_flag("self_normalize", self_normalize)
 
     def actor(
         self, actor: ProbabilisticActor, strategy: BaseStrategy | None = None

@@ -11,7 +11,13 @@ from trl_explore.ops.gaussian import gaussian_entropy, gaussian_log_prob
 from trl_explore.ops.linear import lane_linear
 from trl_explore.ops.log_prob import categorical_log_prob
 from trl_explore.ops.returns import return_to_go
-from trl_explore.ops.score import lane_sum, linear_softmax_gradient, linear_softmax_score, serves
+from trl_explore.ops.score import (
+    lane_sum,
+    linear_softmax_gradient,
+    linear_softmax_reinforce,
+    linear_softmax_score,
+    serves,
+)
 
 __all__ = [
     "activate",
@@ -22,6 +28,7 @@ __all__ = [
     "lane_linear",
     "lane_sum",
     "linear_softmax_gradient",
+    "linear_softmax_reinforce",
     "linear_softmax_score",
     "log1p32",
     "log32",

@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 import torch
 from torch import Tensor
 
 from trl_explore.compiled import compiled
+from trl_explore.kernels.base import kernel_function
 from trl_explore.ops import runs
 from trl_explore.ops.runs import end_of_episode, end_of_run
 from trl_explore.threads import by_trial, check_frames, fits
@@ -51,8 +51,7 @@ def return_to_go(reward: Tensor, done: Tensor, gamma: float, trial: Tensor | Non
             trial = rows.expand(-1, reward.shape[-1]).reshape(-1)
         out = torch.empty(reward.shape, dtype=reward.dtype)
         frames = (reward.detach().reshape(-1), done.reshape(-1), out.view(-1), trial.contiguous())
-        kernel = _in_blocks if reward.dtype is torch.float32 else _serial
-        by_trial(kernel, [column.numpy() for column in frames], (gamma,))
+        by_trial(_by_run, [column.numpy() for column in frames], (gamma,))
         return out
     if trial is not None:
         done = done.clone()
@@ -66,36 +65,33 @@ def return_to_go(reward: Tensor, done: Tensor, gamma: float, trial: Tensor | Non
     return out
 
 
-@nb.njit(cache=True, nogil=True)
-def _serial(reward, done, out, trial, gamma):
-    after = 0.0
-    for t in range(len(reward) - 1, -1, -1):
-        if done[t] or (t + 1 < len(trial) and trial[t + 1] != trial[t]):
-            after = 0.0
-        after = reward[t] + gamma * after
-        out[t] = after
-    return True
-
-
 _1, _2, _3, _4, _5, _6, _7 = map(np.uint64, range(1, 8))
 
 
 @compiled(runs)
-def _in_blocks(reward, done, out, trial, gamma):
-    """In double, from eight frames to the eight before; the result is rounded.
+def _by_run(reward, done, out, trial, gamma):
+    start = 0
+    while start < len(reward):
+        end = end_of_run(trial, start)
+        run_returns(reward[start:end], done[start:end], out[start:end], gamma)
+        start = end
+    return True
 
-    With l_t, the sum over the rest of the block of t, and G, the return behind the block, j frames
-    after t: G_t = l_t + γ^j G. Only the last step waits for the block behind. An episode's blocks
-    begin with its first frame.
+
+@kernel_function
+def run_returns(reward, done, out, gamma):
+    """Write the returns of one trial's frames, formed in double.
+
+    For float32 rewards from eight frames to the eight before: with l_t, the sum over the rest of
+    the block of t, and G, the return behind the block, j frames after t: G_t = l_t + γ^j G. Only
+    that step waits for the block behind. An episode's blocks begin with its first frame.
     """
     g1, g2, g4 = gamma, gamma * gamma, gamma * gamma * gamma * gamma
     g3, g5, g6, g7, g8 = g2 * g1, g4 * g1, g4 * g2, g4 * g2 * g1, g4 * g4
-    start, run = 0, 0
+    start = 0
     while start < len(reward):
-        if start == run:
-            run = end_of_run(trial, start)
-        end = end_of_episode(done, start, run)
-        whole = (end - start) // 8
+        end = end_of_episode(done, start, len(reward))
+        whole = (end - start) // 8 if reward.itemsize == 4 else 0
         after = 0.0
         for t in range(end - 1, start + 8 * whole - 1, -1):
             after = reward[t] + gamma * after
@@ -117,4 +113,3 @@ def _in_blocks(reward, done, out, trial, gamma):
             after = l0 + g8 * after
             out[t] = after
         start = end
-    return True

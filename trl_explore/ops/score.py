@@ -6,13 +6,17 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from trl_explore.ops.linear import lane_linear
 from trl_explore.ops.log_prob import categorical_log_prob
 from trl_explore.ops.score_kernels import score_kernel
+from trl_explore.ops.score_two import score_two
 from trl_explore.threads import by_trial, check_frames, fits
+
+NOTHING = np.zeros(0, dtype=np.bool_)
 
 
 def lane_sum(values: Tensor, trial: Tensor, trials: int) -> Tensor:
@@ -94,9 +98,16 @@ def serves(observation: Tensor, weight: Tensor, advantage: Tensor) -> bool:
 
 
 def linear_softmax_gradient(
-    observation: Tensor, weight: Tensor, action: Tensor, advantage: Tensor, trial: Tensor
+    observation: Tensor,
+    weight: Tensor,
+    action: Tensor,
+    advantage: Tensor,
+    trial: Tensor,
+    scale: float = 1.0,
 ) -> tuple[Tensor, Tensor]:
     """S of ``linear_softmax_score`` and ∂S/∂W [trials, n_actions, n_features], without autograd.
+
+    Both are multiplied with ``scale``, in the precision of the weights.
 
     Arguments and errors are those of ``linear_softmax_score``, as far as ``serves`` says so.
 
@@ -107,18 +118,84 @@ def linear_softmax_gradient(
         [[[-0.5], [0.5]]]
     """
     _check(observation, weight, action, advantage, trial)
-    w = weight.detach().contiguous().numpy()
     frames = [x.contiguous().numpy() for x in (observation, action, advantage, trial)]
-    kernel = score_kernel(w.shape, frames[0])
-    gradient, total = np.zeros(w.shape, w.dtype), np.zeros(len(w), w.dtype)
-    if not by_trial(kernel, frames, (w, total, gradient)):
+    found = _sums(frames[:3], frames[3], weight, (scale, 0))
+    if found is None:
         order = np.argsort(frames[3], kind="stable")
-        frames = [array[order] for array in frames]
-        if not kernel(*frames, w, total, gradient):
-            raise IndexError(
-                f"an action is not in [0, {w.shape[1]}) or a trial not in [0, {len(w)})"
-            )
+        *first, trials = (array[order] for array in frames)
+        found = _sums(first, trials, weight, (scale, 0))
+    if found is None:
+        trials, n_actions, _ = weight.shape
+        raise IndexError(f"an action is not in [0, {n_actions}) or a trial not in [0, {trials})")
+    return found
+
+
+def _sums(
+    frames: list[NDArray[Any]],
+    trial: NDArray[Any],
+    weight: Tensor,
+    numbers: tuple[float, float],
+    gamma: float = 1.0,
+) -> tuple[Tensor, Tensor] | None:
+    """S and its gradient; None where trials do not ascend, or something is out of range.
+
+    The frames are observation, action and advantage; for two actions, reward and done may follow,
+    and no advantages be there.
+    """
+    w = weight.detach().contiguous().numpy()
+    gradient, total = np.zeros(w.shape, w.dtype), np.zeros(len(w), w.dtype)
+    factors = np.array(numbers, w.dtype)
+    if w.shape[1] == 2:
+        kernel = score_two(w.shape[2], w.dtype == np.float32)
+        frames = [*frames, np.zeros(0, w.dtype), NOTHING] if len(frames) == 3 else frames
+        shared = w, factors, gamma, total, gradient
+    else:
+        kernel, shared = score_kernel(w.shape, frames[0]), (w, factors, total, gradient)
+    if not by_trial(kernel, [*frames, trial], shared):
+        return None
     return torch.from_numpy(total), torch.from_numpy(gradient)
+
+
+def linear_softmax_reinforce(
+    observation: Tensor,
+    weight: Tensor,
+    action: Tensor,
+    reward: Tensor,
+    done: Tensor,
+    trial: Tensor,
+    *,
+    gamma: float,
+    baseline: float,
+    scale: float,
+) -> tuple[Tensor, Tensor] | None:
+    """What ``linear_softmax_gradient`` gives for A_t = G_t − b, in one pass over the frames.
+
+    It makes the advantages of ``return_to_go`` itself, in the same operations.
+
+    Args:
+        observation: x [frames, n_features].
+        weight: W [trials, n_actions, n_features].
+        action: a [frames] int64.
+        reward: r [frames].
+        done: whether the frame is the last one of its episode [frames].
+        trial: [frames] int64.
+        gamma: discount γ.
+        baseline: b.
+        scale: a factor of S and its gradient.
+
+    Returns:
+        S and its gradient; None where the trials do not ascend, something is out of range, or
+        there are not two actions.
+
+    Raises:
+        ValueError: if the shapes do not fit each other.
+    """
+    if weight.shape[1] != 2:
+        return None
+    check_frames(reward.shape, done=done)
+    _check(observation, weight, action, reward, trial)
+    columns = [x.contiguous().numpy() for x in (observation, action, reward[:0], reward, done)]
+    return _sums(columns, trial.contiguous().numpy(), weight, (scale, baseline), gamma)
 
 
 def _check(

@@ -11,7 +11,6 @@ and trials are in range. Sums are in double: hundreds of terms of one sign.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -21,35 +20,27 @@ from trl_explore.compiled import compiled
 from trl_explore.kernels import borrow as borrow_module
 from trl_explore.kernels.base import kernel_function
 from trl_explore.kernels.borrow import borrow
-from trl_explore.ops import exponential as exponential_module
-from trl_explore.ops import runs, vectors
-from trl_explore.ops.exponential import exp32, log1p32
-from trl_explore.ops.runs import end_of_run
-from trl_explore.ops.vectors import WIDTH, columns, dot
 
 WIDE, SPARSE = 8, 2
 """From so many features on, of which no more than so many are not 0, zeros are passed over."""
-BLOCK = 256
-"""How many frames of a trial are treated at a time, one operation after the other."""
 
 
 def score_kernel(shape: tuple[int, ...], observation: NDArray[Any]) -> Callable[..., bool]:
-    """The fastest ``score(observation, action, advantage, trial, weight, total, gradient)``.
+    """The fastest for (observation, action, advantage, trial, weight, numbers, total, gradient).
 
-    Which of the last two is chosen, by the data, changes no bit.
+    Sums are multiplied with the first of the numbers, after they have been rounded. Which of the
+    two kernels is chosen, by the data, changes no bit.
 
     Args:
         shape: that of the weights.
         observation: [frames, n_features].
     """
-    if shape[1] == 2:
-        return score_two(shape[2], observation.dtype == np.float32)
     one_hot = shape[2] >= WIDE and len(observation) and np.count_nonzero(observation[0]) <= SPARSE
     return score_sparse if one_hot else score
 
 
 @compiled(borrow_module)
-def score_sparse(observation, action, advantage, trial, weight, total, gradient):
+def score_sparse(observation, action, advantage, trial, weight, numbers, total, gradient):
     """``score`` without the features that are 0: a one-hot state has one that is not."""
     trials, n_actions, n_features = weight.shape
     probs = np.empty(n_actions, dtype=weight.dtype)
@@ -83,7 +74,9 @@ def score_sparse(observation, action, advantage, trial, weight, total, gradient)
                     slope[a, k] += share * observation[i, k]
             i += 1
         total[lane] = value
+        total[lane] *= numbers[0]
         gradient[lane] = slope
+        gradient[lane] *= numbers[0]
     own_slope[0, 0] = 0  # keeps it alive to here
     return True
 
@@ -119,7 +112,7 @@ def _exponentials(probs, chosen, zero):
 
 
 @compiled()
-def score(observation, action, advantage, trial, weight, total, gradient):
+def score(observation, action, advantage, trial, weight, numbers, total, gradient):
     """For any number of actions, frame by frame."""
     trials, n_actions, n_features = weight.shape
     probs = np.empty(n_actions, dtype=weight.dtype)
@@ -150,92 +143,7 @@ def score(observation, action, advantage, trial, weight, total, gradient):
                     slope[a, k] += share * observation[i, k]
             i += 1
         total[lane] = value
+        total[lane] *= numbers[0]
         gradient[lane] = slope
+        gradient[lane] *= numbers[0]
     return True
-
-
-@lru_cache(maxsize=32)
-def score_two(  # noqa: C901 - small functions that close over the number of features
-    n_features: int, single: bool
-) -> Callable[..., bool]:
-    """For two actions: d = logit of the other − logit of the chosen; log π = −log(1 + e^d).
-
-    A block of frames at a time, one operation for all of them after the other, so that each is
-    vector instructions. Blocks begin with the first frame of a trial, whatever stands before it.
-    """
-    take = columns(n_features)
-    exponential, logarithm = (exp32, log1p32) if single else (np.exp, np.log1p)
-
-    @kernel_function
-    def read(observation, start, size, x, zero):
-        """The columns of a block's observations, with zeros up to a whole group."""
-        whole = size // WIDTH
-        take(observation, start, x, whole)
-        for f in range(WIDTH * whole, WIDTH * ((size + WIDTH - 1) // WIDTH)):
-            for k in range(n_features):
-                x[k, f] = observation[start + f, k] if f < size else zero
-
-    @kernel_function
-    def logits(difference, x, d, size):
-        for f in range(size):
-            logit = difference[0] * x[0, f]
-            for k in range(1, n_features):
-                logit += difference[k] * x[k, f]
-            d[f] = logit
-
-    @kernel_function
-    def log_probs(d, cost, share, size, one):
-        """Writes −log π(chosen), and multiplies the share with π(other)."""
-        zero = one - one
-        for f in range(size):
-            small = exponential(-abs(d[f]))  # never overflows
-            cost[f] = logarithm(small) + (d[f] if d[f] > zero else zero)
-            share[f] *= (small if d[f] < zero else one) / (one + small)
-
-    @compiled(borrow_module, exponential_module, runs, vectors, key=(n_features, single))
-    def kernel(observation, action, advantage, trial, weight, total, gradient):
-        dtype = weight.dtype
-        one = np.ones(1, dtype)[0]
-        own_x, own_rows = np.empty((n_features, BLOCK), dtype), np.zeros((4, BLOCK), dtype)
-        own_difference, own_slope = np.empty(n_features, dtype), np.empty(n_features)
-        x, rows = borrow(own_x), borrow(own_rows)
-        difference, slope = borrow(own_difference), borrow(own_slope)
-        d, cost, share, factor = rows[0], rows[1], rows[2], rows[3]
-        action, advantage = borrow(action), borrow(advantage)
-        actions = np.int64(0)
-        start, before = 0, np.int64(-1)
-        while start < len(action):
-            lane = trial[start]
-            if not before < lane < len(weight):
-                return False
-            before, end = lane, end_of_run(trial, start)
-            for k in range(n_features):
-                difference[k] = weight[lane, 1, k] - weight[lane, 0, k]
-                slope[k] = 0
-            value = 0.0
-            while start < end:
-                size = min(BLOCK, end - start)
-                groups = (size + WIDTH - 1) // WIDTH
-                read(observation, start, size, x, one - one)
-                logits(difference, x, d, size)
-                rows[1:, size : WIDTH * groups] = 0
-                chosen_of, factor_of = action[start : start + size], advantage[start : start + size]
-                for f in range(size):
-                    chosen = chosen_of[f]
-                    actions |= chosen
-                    factor[f] = factor_of[f]
-                    share[f] = factor[f] if chosen != 0 else -factor[f]
-                    d[f] = -d[f] if chosen != 0 else d[f]
-                log_probs(d, cost, share, size, one)
-                value -= dot(factor, cost, groups)
-                for k in range(n_features):
-                    slope[k] += dot(share, x[k], groups)
-                start += size
-            total[lane] = value
-            for k in range(n_features):
-                gradient[lane, 1, k] = slope[k]
-                gradient[lane, 0, k] = -slope[k]
-        own_x[0, 0] = own_rows[0, 0] = own_difference[0] = own_slope[0] = 0  # alive to here
-        return 0 <= actions < 2
-
-    return kernel
