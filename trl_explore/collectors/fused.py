@@ -40,7 +40,7 @@ from trl_explore.threads import pool
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
 TRANSFORMS = (StepCounter, RewardSum)
 
-MIN_TRIALS = 64
+MIN_TRIALS = 128
 """Trials for each thread below which dividing them costs more than it saves."""
 FIRST_FRAMES = 64
 """Frames of an episode that there is room for at first."""
@@ -138,16 +138,13 @@ class FusedCollector(EpisodeCollector):
         grow(parts, FIRST_FRAMES)
         left = parts
         while left:
-            if len(left) == 1:
-                left[0].run(self._loop, self.kernel.parameters, context)
-            else:
-                run = Part.run
-                calls = [
-                    pool().submit(run, part, self._loop, self.kernel.parameters, context)
-                    for part in left
-                ]
-                for call in calls:
-                    call.result()
+            calls = [
+                pool().submit(part.run, self._loop, self.kernel.parameters, context)
+                for part in left[1:]
+            ]
+            left[0].run(self._loop, self.kernel.parameters, context)
+            for call in calls:
+                call.result()
             left = [part for part in left if len(part.trials)]
             if left:
                 grow(parts)

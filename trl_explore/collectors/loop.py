@@ -106,6 +106,7 @@ def _compile(  # noqa: C901 - the parts of one compiled function
 ) -> Callable[..., tuple[int, int]]:
     n_features, n_actions = network.sizes[0], network.sizes[-1]
     narrow = is_narrow(network, mask is not None)
+    x_of = _x_of_lane if narrow else _compile_x(n_features)
     record = 4 + n_features if narrow else 4
     deliver = compile_deliver(record, narrow, n_features, n_actions if mask is not None else 0)
     load, logits = compile_network(network)
@@ -132,14 +133,15 @@ def _compile(  # noqa: C901 - the parts of one compiled function
     @part
     def act(t, left, parameters, weights, explore, scratch, lanes):
         """Observe, and choose an action, in every lane."""
-        for j in range(left):
-            x = lane(lanes.x, j) if narrow else row_of(scratch.observation, lanes, j, n_features)
-            observe(parameters, lane(lanes.state, j), x)
+        if narrow:
+            for j in range(left):
+                observe(parameters, lane(lanes.state, j), x_of(scratch, lanes, j))
         full = (left + 7) & ~7 if narrow else left  # whole vectors, of lanes that may have ended
         for j in range(full):
-            x = lane(lanes.x, j) if narrow else row_of(scratch.observation, lanes, j, n_features)
-            probs, local = lane(lanes.probs, j), lane(lanes.local, j)
+            x, probs, local = x_of(scratch, lanes, j), lane(lanes.probs, j), lane(lanes.local, j)
             row, seat = lanes.place[ROW, j], lanes.place[SEAT, j]
+            if not narrow:  # it is long, and read while it is in the cache
+                observe(parameters, lane(lanes.state, j), x)
             logits(weights, row, local, scratch.own, seat, scratch.hidden, x, probs)
             legal(parameters, lane(lanes.state, j), scratch, lanes, j, probs)
         if explore:
@@ -239,6 +241,22 @@ def _compile(  # noqa: C901 - the parts of one compiled function
     cache.digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
     compiled._cache = cache
     return compiled
+
+
+@part
+def _x_of_lane(scratch, lanes, j):
+    """Where a narrow observation is kept."""
+    return lane(lanes.x, j)
+
+
+def _compile_x(n_features: int) -> Any:
+    """The function that says where an observation of lane j is kept that is not narrow."""
+
+    @part
+    def x_in_scratch(scratch, lanes, j):
+        return row_of(scratch.observation, lanes, j, n_features)
+
+    return x_in_scratch
 
 
 def _compile_mask(mask: Any, n_actions: int) -> Any:

@@ -74,10 +74,11 @@ def _compile_mix(n: int) -> Any:
             ties += np.float32(probs[k] == largest)
             work[k] = exp32((probs[k] - largest) / temperature)
             total += work[k]
+        best, any_legal = greedy * (_ONE / ties), uniform * (_ONE / legal)
         for k in range(n):
             mu = soft * (work[k] / total) if soft != 0 else _ZERO
-            mu += greedy * (np.float32(probs[k] == largest) / ties)
-            probs[k] = mu + uniform * (np.float32(probs[k] != -np.inf) / legal)
+            mu += best if probs[k] == largest else _ZERO
+            probs[k] = mu + (any_legal if probs[k] != -np.inf else _ZERO)
 
     return mix
 

@@ -234,16 +234,31 @@ def _layer(i: int, n_in: int, n_out: int, bias: bool) -> Any:
 
 def _chain(before: Any, layer: Any, i: int, n_out: int, phi: Any, is_last: bool) -> Any:
     """The layers ``before``, and layer i with its activation."""
-    is_first, source, target = i == 0, (i + 1) % 2, i % 2
+    source, target = (i + 1) % 2, i % 2
+    take, give = _input if i == 0 else _hidden, _output if is_last else _hidden
 
     @kernel_function
     def logits(parameters, row, local, own, slot, hidden, x, out):
         before(parameters, row, local, own, slot, hidden, x, out)
-        units = borrow(hidden)
-        y = out if is_last else units[target]
-        layer(own, slot, x if is_first else units[source], y)
+        y = give(out, hidden, target)
+        layer(own, slot, take(x, hidden, source), y)
         if not is_last:
             for a in range(n_out):
                 y[a] = phi(y[a])
 
     return logits
+
+
+@kernel_function
+def _input(x, hidden, i):
+    return x
+
+
+@kernel_function
+def _output(out, hidden, i):
+    return out
+
+
+@kernel_function
+def _hidden(array, hidden, i):
+    return borrow(hidden)[i]
