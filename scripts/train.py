@@ -200,6 +200,8 @@ def main() -> int:
     logging.getLogger("trl_explore").setLevel(logging.INFO)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # hand errors over instead of printing tracebacks
     configuration.register_resolvers()
+    # Wherever -m stands: argparse takes no overrides after a flag between them.
+    sys.argv[1:] = sorted(sys.argv[1:], key=lambda word: word not in ("-m", "--multirun"))
     try:
         return sweep()
     except Interrupted as error:
@@ -233,10 +235,11 @@ def sweep() -> int:
 
 def show(folders: list[Path]) -> None:
     """The table over all jobs, and where the files are."""
-    from trl_explore.console import table
+    from trl_explore.console import table, warnings
     from trl_explore.results import read_job
 
-    print(table(read_job(folder) for folder in folders))
+    jobs = [read_job(folder) for folder in folders]
+    print("\n".join([table(jobs), *warnings(jobs)]))
     print(f"results: {folders[0] if len(folders) == 1 else folders[0].parent}")
 
 

@@ -67,6 +67,23 @@ def test_what_is_the_same_memory_is_stored_once():
     assert len(checkpoint.to_bytes({}, pack(twice))) < 1.1 * 4 * (100 * 100 + 100)
 
 
+def test_entries_whose_paths_read_the_same_stay_apart():
+    state = {
+        "layer.0": np.ones(2), "layer": [np.zeros(2), np.ones(3)], 1: torch.ones(1),
+        "1": torch.zeros(1), "layer.0'": np.full(2, 7.0),
+    }  # fmt: skip
+    assert same(unpack(pack(state)), state)
+
+
+def test_copies_from_another_device_are_not_taken_for_one_another(monkeypatch):
+    """A copy is gone when the next one is made, which may well get its memory."""
+    memory = torch.zeros(2)
+    monkeypatch.setattr(torch.Tensor, "cpu", lambda tensor: memory.copy_(tensor))
+    state = {"first": torch.tensor([1.0, 2.0]), "second": torch.tensor([3.0, 4.0])}
+    found = unpack(pack(state))
+    assert (found["first"].tolist(), found["second"].tolist()) == ([1, 2], [3, 4])
+
+
 def test_a_packed_state_is_a_copy():
     weight, table = torch.zeros(2), np.zeros(2)
     packed = pack({"weight": weight, "table": table})

@@ -419,6 +419,8 @@ WRONG = {
     "+foo=1": "'foo'",
     "++foo=1": "'foo'",
     "strategy.foo=1": "'strategy.foo'",
+    "env.kwargs={render_mode:rgb}": "a + adds it: +env.kwargs={render_mode:rgb}",
+    "env.attributes.gravity=3.7": "a + adds it: +env.attributes.gravity=3.7",
     "+strategy.foo=1": "'strategy.foo'",
     "+loss.lr=1": "'loss.lr'",
     "+env.kwargs.foo=1": "foo",
@@ -465,6 +467,20 @@ def test_wrong_input_leaves_no_results(refused):
     place, _ = refused
     assert results_below(place) == []
     assert (place / "file").read_text() == "a file"
+
+
+def test_wrong_input_leaves_no_folder_of_jobs(refused):
+    place, ran = refused
+    left = {text: list((place / str(k)).glob("*")) for k, text in enumerate(ran) if text[0] != "-"}
+    assert {text: folders for text, folders in left.items() if folders} == {}
+
+
+def test_a_sweep_may_be_asked_for_anywhere(run_many, tmp_path):
+    debug = ["experiment=debug", "max_iterations=1", f"output_dir={tmp_path}"]
+    (process,) = run_many([[*debug, "-m", "strategy=random,argmax"]], cwd=tmp_path)
+    assert (process.returncode, complaints(process)) == (0, [])
+    assert "random" in process.stdout
+    assert "argmax" in process.stdout
 
 
 def test_wrong_input_in_a_process_of_its_own(run_cli, tmp_path):

@@ -7,7 +7,7 @@ import pytest
 
 from trl_explore import console
 from trl_explore.analysis.outcomes import Outcomes
-from trl_explore.console import Progress, duration, table
+from trl_explore.console import Progress, duration, table, warnings
 from trl_explore.trials import Trials
 
 
@@ -130,3 +130,16 @@ def test_the_table_of_a_sweep():
 def test_a_job_of_which_nothing_converged():
     (row,) = table([outcome("random", [1000] * 4, ["capped"] * 4)]).splitlines()[2:]
     assert row.split()[2:6] == ["0", "(0%)", ">", "1000"]
+
+
+def test_a_cap_before_the_first_full_window_is_told():
+    jobs = [
+        outcome("softmax", [50] * 2, ["capped"] * 2, cap=50),
+        outcome("random", [100] * 2, ["capped"] * 2, cap=100),
+        outcome("four", [25] * 2, ["capped"] * 2, cap=25, config={"episodes_per_update": 4}),
+        outcome("greedy", [9] * 2, ["capped"] * 2, cap=9, config={"stop_on": "evaluation"}),
+    ]
+    assert warnings(jobs[:1]) == [
+        "no trial could converge with max_iterations=50: a score takes score_window=100 episodes"
+    ]
+    assert warnings(jobs[1:]) == []

@@ -7,15 +7,18 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from tensordict import TensorDict
+from tensordict.nn import TensorDictSequential
 
 from trl_explore import config as configuration
 from trl_explore.actor import SoftmaxActor
+from trl_explore.collectors import TorchRLCollector
 from trl_explore.config import CONF
 from trl_explore.config.building import build_trainer
 from trl_explore.diagnostics import COLUMNS, Diagnostics
 from trl_explore.envs import make_env
 from trl_explore.policies import LinearPolicy
-from trl_explore.strategies import EpsilonGreedy
+from trl_explore.strategies import EpsilonGreedy, ParameterNoise
+from trl_explore.streams import Stream, generator
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -56,8 +59,6 @@ def test_every_evaluation_is_recorded():
 def test_a_greedy_episode_repeats_gymnasiums():
     """The recorded score is that of argmax(W s) in gymnasium, from the trial's own stream."""
     import gymnasium as gym
-
-    from trl_explore.streams import Stream, generator
 
     trainer = trained("evaluate_every=24", "seed=5")
     for trial in range(4):
@@ -134,3 +135,30 @@ def test_diagnostics_by_hand():
     }
     assert set(found) == set(COLUMNS)
     assert found == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("episodes", [1, 3])
+def test_what_is_said_of_the_behaviour_is_that_of_the_frames(episodes):
+    """Under parameter noise μ is known of one episode: of more there is nothing to be said."""
+    env = make_env("CartPole-v1", trials=2)
+    policy, strategy = LinearPolicy(env), ParameterNoise(sigma=2.0)
+    collector = TorchRLCollector(
+        env, TensorDictSequential(policy, strategy), episodes_per_update=episodes
+    )
+    data = collector.collect()
+    diagnostics = Diagnostics(SoftmaxActor(policy), strategy, 2, policy.parameters())
+    diagnostics.record(data, np.ones(2, dtype=np.bool_))
+    columns = diagnostics.columns()
+    assert np.isfinite(columns["ratio_mean"]).all()
+    if episodes > 1:
+        assert np.isnan([columns["entropy_behaviour"], columns["kl"]]).all()
+        return
+    weight = policy.weight.detach().double()
+    for k in range(2):
+        own = data[data["trial"] == k]
+        xi = generator(0, Stream.STRATEGY, k, 0).standard_normal((2, 4))
+        x = own["observation"].double()
+        log_mu = (x @ (weight[k] + 2 * torch.from_numpy(xi)).T).log_softmax(-1)
+        log_pi = (x @ weight[k].T).log_softmax(-1)
+        kl = (log_mu.exp() * (log_mu - log_pi)).sum(-1).mean()
+        assert columns["kl"][k] == pytest.approx(float(kl), rel=1e-4)

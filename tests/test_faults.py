@@ -311,6 +311,22 @@ def test_a_folder_in_which_nothing_happened_goes_with_its_lock(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_folder_that_goes_while_a_lock_is_taken_is_made_again(tmp_path, monkeypatch):
+    """Another process released an empty folder between its making and the opening of the file."""
+    folder, times, make = tmp_path / "job", [], Path.mkdir
+
+    def made_and_gone(path, *args, **kwargs):
+        make(path, *args, **kwargs)
+        times.append(path)
+        if len(times) == 1:
+            path.rmdir()
+
+    monkeypatch.setattr(Path, "mkdir", made_and_gone)
+    with Lock(folder):
+        assert is_locked(folder)
+    assert times == [folder, folder]
+
+
 def test_a_killed_process_gives_its_lock_back(tmp_path):
     text = (
         "import sys, time; from pathlib import Path; from trl_explore.locks import Lock\n"

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -28,6 +29,11 @@ def test_a_strategy_of_ones_own():
     torch.testing.assert_close(strategy.probs(logits), torch.full((3,), 1 / 3))
     strategy.step()
     torch.testing.assert_close(strategy.probs(logits), logits.softmax(-1))
+    # As test_parameters_per_trial asks of every strategy: what cannot be a list refuses one.
+    with pytest.raises(ValueError, match="iterations must be an integer"):
+        scope["EpsilonFirst"](iterations=[20, 10])
+    # And from the first iteration on it must be seen for how many trials there are values.
+    assert np.shape(scope["EpsilonFirst"](temperature=[1, 2, 4]).mixture().temperature) == (3,)
 
 
 @pytest.mark.parametrize("group", ["strategy", "correction", "baseline", "policy", "env"])

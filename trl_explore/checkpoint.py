@@ -75,9 +75,12 @@ def pack(state: Any) -> Packed:
             values = [walk(value, f"{path}.{k}") for k, value in enumerate(node)]
             return values if isinstance(node, list) else {"tuple": values}
         kind, array, identity = _array(node, path)
-        name = seen.setdefault(identity, path[1:]) if identity else path[1:]
-        if name not in arrays:
-            arrays[name] = array.copy(order="C")
+        if identity in seen:
+            return {kind: seen[identity]}
+        name = path[1:]
+        while name in arrays:  # the path of another entry reads the same: "a.b", and "b" in "a"
+            name += "'"
+        seen[identity], arrays[name] = name, array.copy(order="C")
         return {kind: name}
 
     return Packed(json.dumps(walk(state, "")), arrays)
@@ -86,15 +89,15 @@ def pack(state: Any) -> Packed:
 def _array(node: Any, path: str) -> tuple[str, NDArray[Any], Any]:
     """The kind of an array, its values, and what makes it the same memory as another one."""
     if isinstance(node, np.generic):
-        return "number", np.asarray(node), None
+        return "number", np.asarray(node), object()
     if isinstance(node, np.ndarray):
-        return "array", node, None
+        return "array", node, object()
     import torch
 
     if isinstance(node, torch.Tensor):
-        tensor = node.detach().cpu()
-        identity = (tensor.data_ptr(), tensor.shape, tensor.stride(), tensor.dtype)
-        return "tensor", tensor.numpy(), identity
+        # Of the node: the memory of a copy from another device is soon another copy's.
+        identity = (node.device, node.data_ptr(), node.shape, node.stride(), node.dtype)
+        return "tensor", node.detach().cpu().numpy(), identity
     raise TypeError(
         f"the state of {path[1:]} is a {type(node).__name__}; a checkpoint holds None, bool, "
         "int, float, str, arrays and tensors, in dicts, lists and tuples"

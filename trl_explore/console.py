@@ -91,6 +91,19 @@ def table(jobs: Iterable[Outcomes]) -> str:
     return "\n".join(lines)
 
 
+def warnings(jobs: Iterable[Outcomes]) -> list[str]:
+    """What a reader of the table must know, one line each."""
+    short = [job for job in jobs if job.cut_short]
+    if not short:
+        return []
+    caps = sorted({job.cap for job in short})
+    windows = sorted({job.window for job in short})
+    return [
+        f"no trial could converge with max_iterations={'|'.join(map(str, caps))}: a score takes"
+        f" score_window={'|'.join(map(str, windows))} episodes"
+    ]
+
+
 def _row(job: Outcomes) -> tuple[str, ...]:
     to_convergence = np.where(job.converged, job.iterations, np.inf)
     # The lower median: of an even number of trials the one that is reached first.

@@ -42,7 +42,8 @@ class Diagnostics:
     of log μ(a|s) − log π(a|s); the greedy action is the mean of π, and greedy_share has no value.
 
     What has no value is nan: entropy_behaviour and kl without exact probabilities of every
-    action, the ratios without "action_log_prob".
+    action, or where an iteration has several episodes and μ changes with each of them
+    (``ParameterNoise``); the ratios without "action_log_prob".
 
     Args:
         actor: the target policy.
@@ -113,6 +114,8 @@ class Diagnostics:
             return found
         log_prob = log_pi.gather(-1, data.get("action").unsqueeze(-1)).squeeze(-1)
         found |= _ratios(episodes, log_prob.double() - behaviour.double())
+        if self.strategy.episodic and bool((episodes.episodes_of_trial > 1).any()):
+            return found
         logits = self.strategy.preferences(data, log_pi)
         log_mu = self.strategy.probs(logits, episodes.trial).log()
         found["entropy_behaviour"] = episodes.trial_mean(_entropy(log_mu))

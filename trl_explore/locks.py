@@ -22,8 +22,8 @@ class Lock:
 
     An advisory lock (flock) on the file ``.lock`` in the folder. The kernel gives it back when its
     holder dies, so that nothing has to be tidied up after a kill. The file goes when the lock is
-    released: whoever opened it just before then holds the lock of a file without a name, notices,
-    and tries again.
+    released, and the folder if it is empty: whoever opened it just before then holds the lock of a
+    file without a name, or has no folder to make one in, notices, and tries again.
 
     Args:
         folder: the folder, which is made if it does not exist.
@@ -41,7 +41,12 @@ class Lock:
         deadline = time.monotonic() + PATIENCE
         while self._file < 0:
             self.folder.mkdir(parents=True, exist_ok=True)
-            file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+            try:
+                file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+            except FileNotFoundError:  # who had it just took the empty folder away
+                if time.monotonic() > deadline:
+                    raise
+                continue
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if self._is_named(file):

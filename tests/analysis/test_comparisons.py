@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trl_explore.analysis.comparisons import compare, compare_all, holm
+from trl_explore.analysis.comparisons import compare, compare_all, compare_pairs, holm
 from trl_explore.analysis.estimates import Estimate
 
 
@@ -34,6 +34,14 @@ def test_paired_comparison(fast, slow, rng):
     assert c.faster.value == 1.0
     assert c.winner == "softmax"
     assert compare(slow, fast, rng).winner == "softmax"
+
+
+def test_hundreds_of_pairs_can_still_be_told_apart(make, rng):
+    # 600 / (1 + 9999) = 0.06: of the draws alone no difference survives Holm's correction.
+    reference = make(rng.integers(100, 200, size=40), strategy="reference")
+    slower = [make(rng.integers(300, 400, size=40), strategy=f"s{k}") for k in range(600)]
+    table = compare_pairs([(reference, other) for other in slower], rng, resamples=9999)
+    assert {c.winner for c in table} == {"reference"}
 
 
 def test_only_common_trials_are_compared(make, rng):

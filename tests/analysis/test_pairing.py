@@ -131,6 +131,10 @@ def test_pool_refuses(make, thesis, grid):
         ({"cap": 5000}, "b has 5000"),
         ({"threshold": 475.0}, "threshold 195, b has 475"),
         ({"window": 10}, "window 100, b has 10"),
+        (
+            {"config": {"stop_on": "evaluation", "evaluate_every": 5}},
+            "stopping scores training, b has evaluation .1 every 5 iterations.",
+        ),
     ],
 )
 def test_other_stopping_rules_are_not_comparable(make, change, message):
@@ -159,3 +163,22 @@ def test_the_stopping_rule_that_an_environment_proposes_does_not(make):
         for threshold in (195.0, 475.0)
     )
     assert configuration_key(one) == configuration_key(two)
+
+
+def test_nor_do_the_processes_that_step_it(make):
+    one, two = (make([300], config={"env": {"id": "Pendulum-v1", "workers": n}}) for n in (1, 8))
+    assert configuration_key(one) == configuration_key(two)
+    assert shared_trials([one, two])[0].count == 1
+
+
+def test_evaluations_of_other_frequency_are_another_rule(make):
+    def judged(every, count):
+        how = {"stop_on": "evaluation", "evaluate_every": every, "evaluate_episodes": count}
+        return make([300], config=how)
+
+    check_comparable(judged(5, 2), judged(5, 2))
+    for other in (judged(10, 2), judged(5, 1)):
+        with pytest.raises(ValueError, match="stopping scores evaluation"):
+            check_comparable(judged(5, 2), other)
+    unused = make([300], config={"stop_on": "training", "evaluate_every": 5})
+    check_comparable(unused, make([300]))

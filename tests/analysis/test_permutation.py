@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -35,6 +37,25 @@ def test_sign_flips_sampled_agree_with_t_test(rng):
 def test_sampled_p_is_never_zero(rng):
     assert sign_flip_test(np.full(40, 7.0), rng, resamples=999) == 1 / 1000
     assert label_permutation_test([0.0] * 30, [1.0] * 30, rng, resamples=999) == 1 / 1000
+
+
+def test_beyond_the_draws_the_bound_tells_sizes_apart(rng):
+    # 40 pairs that differ by 7: 280² / (2 · 40 · 49) = 20; the exact p is 2 / 2^40.
+    assert sign_flip_test(np.full(40, 7.0), rng, resamples=999, tail=True) == pytest.approx(
+        2 * math.exp(-20)
+    )
+    # 30 zeros and 30 ones: 2 · 15² / (30 · 1) = 15; the exact p is 2 / C(60, 30).
+    p = label_permutation_test([0.0] * 30, [1.0] * 30, rng, resamples=999, tail=True)
+    assert p == pytest.approx(2 * math.exp(-15))
+    assert sign_flip_test(np.full(9000, 7.0), rng, resamples=9, tail=True) > 0
+
+
+def test_the_bound_changes_nothing_where_draws_decide(rng):
+    # 14 pairs: 2 e^-7 = 0.0018 is more than the 1 / 1000 of the draws.
+    assert sign_flip_test(np.full(14, 7.0), rng, resamples=999, tail=True) == 1 / 1000
+    d = rng.normal(0.3, 1.0, size=50)
+    p = [sign_flip_test(d, np.random.default_rng(0), tail=tail) for tail in (False, True)]
+    assert p[0] == p[1] > 1 / 1000
 
 
 def test_no_difference_gives_one(rng):

@@ -5,9 +5,11 @@ from hypothesis import strategies as st
 from statsmodels.stats.power import NormalIndPower, TTestPower
 from statsmodels.stats.proportion import samplesize_proportions_2indep_onetail
 
+from trl_explore.analysis.permutation import sign_flip_test
 from trl_explore.analysis.power import (
     detectable_difference,
     detectable_rate_difference,
+    fewest_pairs,
     trials_for_difference,
     trials_for_rate_bound,
     trials_for_rates,
@@ -47,7 +49,7 @@ def test_power_is_reached_in_simulation(rng):
 def test_the_two_directions_agree(sd, difference):
     n = whole(trials_for_difference(sd, difference))
     assert detectable_difference(sd, n) <= difference * (1 + 1e-6)
-    if n > 2:
+    if n > fewest_pairs():
         assert detectable_difference(sd, n - 1) > difference * (1 - 1e-6)
     assert trials_for_difference(sd, -difference) == n
 
@@ -60,7 +62,17 @@ def test_no_number_of_trials_would_do(x):
 def test_more_power_or_level_needs_more():
     assert whole(trials_for_difference(100, 40, power=0.9)) > whole(trials_for_difference(100, 40))
     assert whole(trials_for_difference(100, 40, level=0.99)) > whole(trials_for_difference(100, 40))
-    assert trials_for_difference(0.0, 40) == 2
+    assert trials_for_difference(0.0, 40) == fewest_pairs()
+
+
+@pytest.mark.parametrize("tests", [1, 10, 41])
+def test_fewer_pairs_find_nothing_however_large_the_difference(tests, rng):
+    level = 1 - 0.05 / tests
+    n = fewest_pairs(level)
+    assert n == {1: 6, 10: 9, 41: 11}[tests]  # 2 / 2^n ≤ 0.05 / tests
+    p = [sign_flip_test(np.full(k, 846.0), rng) for k in (n - 1, n)]
+    assert p[1] <= 0.05 / tests < p[0]
+    assert trials_for_difference(1.0, 846.0, level=level) == n
 
 
 @pytest.mark.parametrize("bound", [0.01, 0.05, 0.1, 0.5])

@@ -12,8 +12,9 @@ from torchrl.envs import RewardScaling
 
 from trl_explore.collectors import FusedCollector, NotCompilableError, auto_collector
 from trl_explore.collectors import fused as module
-from trl_explore.collectors.loop import scratch
+from trl_explore.collectors.lanes import LANES
 from trl_explore.collectors.networks import Network
+from trl_explore.collectors.scratch import Scratch, scratch
 from trl_explore.envs import make_env
 from trl_explore.kernels import Kernel, kernel_of, register_kernel
 from trl_explore.kernels import base as kernel_base
@@ -98,8 +99,12 @@ def test_memory_is_reused_and_grows():
 
 def test_the_scratch_of_long_episodes_stays_small():
     kernel, linear = kernel_of(gym.make("CartPole-v1")), Network("linear", (4, 2))
-    assert len(scratch(kernel, linear, 500, False)[5]) == 32
-    assert len(scratch(kernel, linear, 10**6, False)[5]) == 1
+    memory, lanes, _ = scratch(kernel, linear, 500, False)
+    assert lanes == LANES <= len(Scratch(*memory).steps)
+    memory, lanes, _ = scratch(kernel, linear, 10**6, False)
+    assert lanes == len(Scratch(*memory).steps) == 1
+    memory, lanes, _ = scratch(kernel, linear, 500, False, episodes=5)
+    assert lanes == len(Scratch(*memory).steps) == 5
 
 
 class Corridor(gym.Env):

@@ -57,11 +57,11 @@ def test_the_logits_are_those_of_the_module_bit_for_bit(name):
     load, logits = compile_network(network)
 
     @nb.njit
-    def run(values, rows, x, own, hidden, out):
+    def run(values, rows, x, local, own, hidden, out):
         for i in range(len(x)):
-            load(values, rows[i], i, own)
+            load(values, rows[i], local[i], own, i)
         for i in range(len(x)):
-            logits(values, rows[i], i, own, hidden, x[i], out[i])
+            logits(values, rows[i], local[i], own, i, hidden, x[i], out[i])
 
     trial = torch.randint(7, (50,), generator=torch.Generator().manual_seed(2))
     if name == "table":
@@ -70,7 +70,8 @@ def test_the_logits_are_those_of_the_module_bit_for_bit(name):
         x = torch.randn(50, 16, generator=torch.Generator().manual_seed(3))
     out = np.full((50, 4), np.nan, dtype=np.float32)
     values = arrays(network, parameters)
-    run(values, trial.numpy(), x.numpy(), *network.memory(50), out)
+    local = np.full((50, network.local), np.nan, dtype=np.float32)
+    run(values, trial.numpy(), x.numpy(), local, *network.memory(50), out)
     assert torch.equal(torch.from_numpy(out), policy.module(x, trial))
 
 

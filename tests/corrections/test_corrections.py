@@ -1,11 +1,15 @@
 """Corrections by hand: ratios 2 and 1/2, rewards 1, no discount."""
 
 import math
+from typing import cast
 
 import pytest
 import torch
 from tensordict import TensorDict
+from tensordict.nn import TensorDictSequential
 
+from trl_explore.actor import actor_of
+from trl_explore.collectors import TorchRLCollector
 from trl_explore.corrections import (
     Behaviour,
     NoCorrection,
@@ -14,8 +18,21 @@ from trl_explore.corrections import (
     Trajectory,
     log_ratio_of,
 )
+from trl_explore.envs import make_env
 from trl_explore.episodes import Episodes
-from trl_explore.strategies import Argmax, EpsilonGreedy, EpsilonZGreedy, Softmax
+from trl_explore.objectives import ReinforceLoss
+from trl_explore.policies import GaussianLinearPolicy, LinearPolicy
+from trl_explore.schedules import Linear
+from trl_explore.strategies import (
+    Argmax,
+    EpsilonGreedy,
+    EpsilonSoftmax,
+    EpsilonUniform,
+    EpsilonZGreedy,
+    Random,
+    Softmax,
+    UniformAction,
+)
 
 # Two episodes of one trial: rewards 1, 1, 1 and 1, 1; ratios 2, 1/2, 2 and 1/2, 1/2.
 DONE = [False, False, True, False, True]
@@ -85,6 +102,25 @@ def test_one_episode_per_update_normalised_is_no_correction():
         assert given.tolist() == pytest.approx([3, 2, 1])
 
 
+@pytest.mark.parametrize("correction", [PerStep, Trajectory, PerDecision])
+def test_normalised_weights_do_not_vanish_with_the_length_of_an_episode(correction):
+    """The smallest double is e^-745: all ratios e^-800 times as large leave the shares alone."""
+    small = torch.tensor(RATIOS, dtype=torch.float64).log()
+    if correction is PerStep:
+        small = small - 800
+    else:
+        small[[0, 3]] -= 800  # the first step of both episodes: every product has it once
+    given = correction(self_normalize=True).advantage(two_episodes(), 0.0, small)
+    assert given.tolist() == pytest.approx(advantage(correction(self_normalize=True)))
+
+
+def test_weights_that_are_all_zero_stay_so():
+    never = torch.full((5,), -torch.inf, dtype=torch.float64)
+    for correction in (PerStep, Trajectory, PerDecision):
+        given = correction(self_normalize=True).advantage(two_episodes(), 0.0, never)
+        assert given.tolist() == [0] * 5
+
+
 def test_importance_weights_need_exact_probabilities():
     for kind in (PerStep, Trajectory, PerDecision):
         kind().actor(None, EpsilonGreedy(0.1))
@@ -97,6 +133,31 @@ def test_the_behaviour_gradient_needs_a_differentiable_strategy(strategy):
     with pytest.raises(ValueError, match="probabilities differentiable in the"):
         Behaviour().actor(None, strategy)
     assert Softmax().differentiable
+
+
+def gradient_of_behaviour(strategy, policy, env):
+    env = make_env(env, trials=2)
+    policy = policy(env)
+    actor = actor_of(policy)
+    loss = ReinforceLoss(actor, correction=Behaviour(), strategy=strategy, functional=False)
+    data = TorchRLCollector(env, TensorDictSequential(policy, strategy)).collect()
+    loss(data)["loss_actor"].backward()
+    return [cast(torch.Tensor, parameter.grad) for parameter in policy.parameters()]
+
+
+@pytest.mark.parametrize(
+    "strategy", [Random(), EpsilonSoftmax(1.0), EpsilonSoftmax(Linear(1.0, 0.0, 5))]
+)
+@pytest.mark.parametrize("env", ["CartPole-v1", "Taxi-v4"])  # without and with masks
+def test_the_behaviour_gradient_is_zero_where_nothing_follows_the_policy(strategy, env):
+    (gradient,) = gradient_of_behaviour(strategy, LinearPolicy, env)
+    assert torch.equal(gradient, torch.zeros_like(gradient))
+
+
+@pytest.mark.parametrize("kind", [UniformAction, lambda: EpsilonUniform(1.0)])
+def test_so_it_is_over_continuous_actions(kind):
+    gradients = gradient_of_behaviour(kind(), GaussianLinearPolicy, "Pendulum-v1")
+    assert all(torch.equal(gradient, torch.zeros_like(gradient)) for gradient in gradients)
 
 
 @pytest.mark.parametrize("clip", [0, -1.0, math.nan, "x"])

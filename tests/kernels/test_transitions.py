@@ -28,6 +28,7 @@ CASES = [  # id, arguments, attributes, steps of an episode, how many of 200 ter
     ("CartPole-v1", {}, {}, 500, 200),
     ("CartPole-v1", {"sutton_barto_reward": True}, {}, 500, 200),
     ("CartPole-v1", {}, {"theta_threshold_radians": 15 * np.pi / 180, "length": 0.7}, 500, 200),
+    ("CartPole-v1", {}, {"theta_threshold_radians": 1.2}, 500, 200),
     (
         "CartPole-v1",
         {},

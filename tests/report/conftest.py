@@ -30,6 +30,7 @@ def write_job(
     groups: dict[str, Any] | None = None,
     diagnostics: bool = False,
     evaluate_every: int = 0,
+    stop_on: str = "training",
     threshold: float = 195.0,
 ) -> Path:
     """A finished job whose trials took ``durations``; those at the cap were stopped there."""
@@ -76,6 +77,7 @@ def write_job(
             "score_window": 100,
             "evaluate_every": evaluate_every,
             "evaluate_episodes": 1,
+            "stop_on": stop_on,
             "env": {"id": env},
             "strategy": {"_target_": "x", **(parameters or {})},
             **{group: {"_target_": f"x.{name}"} for group, name in (groups or {}).items()},

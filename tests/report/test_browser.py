@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from trl_explore.report.build import build_report
+
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 pytestmark = pytest.mark.skipif(
@@ -146,6 +148,38 @@ def test_the_page_renders_sorts_and_loads_nothing(served, tmp_path, made):
     assert seen["overflow"] == 0
     assert seen["loaded"] == []
     assert asked == ["/page.html"]
+
+
+WIDTHS = """
+<script>
+addEventListener("load", function () {
+  var seen = {};
+  document.querySelectorAll(".scroll").forEach(function (s) {
+    seen[s.querySelector("table").id] = s.scrollWidth - s.clientWidth;
+  });
+  var probe = document.createElement("pre");
+  probe.id = "probe";
+  probe.textContent = JSON.stringify(seen);
+  document.body.appendChild(probe);
+});
+</script>
+"""
+
+
+def test_tables_of_long_names_are_not_cut_off_on_a_wide_screen(tmp_path, make_job):
+    # Names such as "decaying ε-greedy, per-decision weights", numbers as wide as they get.
+    for correction in ("NoCorrection", "PerDecision", "Trajectory"):
+        for k, strategy in enumerate(("argmax", "decaying_epsilon_greedy")):
+            taken = [400 + 97 * ((5 * n + k) % 7) for n in range(12)]
+            make_job(tmp_path / "corrections", f"{strategy},{correction}", taken,
+                     strategy=strategy, groups={"correction": correction})  # fmt: skip
+    page, _ = build_report([tmp_path / "corrections"], tmp_path / "out", resamples=99)
+    text = page.read_text(encoding="utf-8").replace("</body>", WIDTHS + "</body>")
+    (tmp_path / "wide.html").write_text(text, encoding="utf-8")
+    size = "--window-size=1280,900"
+    seen = probe(open_page(f"file://{tmp_path}/wide.html", tmp_path / "profile", size))
+    assert {"corrections-configurations", "corrections-pairs"} < seen.keys()
+    assert {name: beyond for name, beyond in seen.items() if beyond > 0} == {}
 
 
 def test_the_page_fits_a_phone_and_stands_without_javascript(served, tmp_path, made):

@@ -5,6 +5,7 @@ from trl_explore.report.curves import running_scores
 from trl_explore.report.evidence import gather
 from trl_explore.report.groups import group_jobs
 from trl_explore.report.loading import load
+from trl_explore.report.prose import group_facts
 
 
 def test_different_caps_stand_in_one_report_but_are_not_compared(tmp_path, make_job):
@@ -23,6 +24,20 @@ def test_different_environments_are_not_compared(tmp_path, make_job):
     make_job(tmp_path / "train", "a", [150, 200], env="CartPole-v1")
     make_job(tmp_path / "train", "b", [150, 200], env="Acrobot-v1", strategy="argmax")
     assert len(group_jobs(load([tmp_path]).jobs)) == 2
+
+
+def test_trials_stopped_by_evaluation_stand_beside_those_stopped_by_training(tmp_path, make_job):
+    """They are the same agents, of which one job must not push the other out of the report."""
+    make_job(tmp_path / "train", "softmax", [150, 200])
+    make_job(tmp_path / "train", "softmax,stop_on=evaluation", [105, 110], evaluate_every=5,
+             stop_on="evaluation")  # fmt: skip
+    groups = group_jobs(load([tmp_path]).jobs)
+    means = {c.judged_by: c.iterations.mean() for g in groups for c in g.configurations}
+    assert means == {"training": 175, "evaluation (1 every 5 iterations)": 107.5}
+    texts = sorted(group_facts(group) for group in groups)
+    assert texts[0].endswith("over 100 episodes of evaluation (1 every 5 iterations), cap 1,000"
+                             " iterations.")  # fmt: skip
+    assert texts[1].endswith("over 100 episodes, cap 1,000 iterations.")
 
 
 def test_seeds_of_a_configuration_are_pooled(tmp_path, make_job):
@@ -74,3 +89,24 @@ def test_running_scores_by_hand():
     table = running_scores(episodes, 2, np.array([1, 2, 3, 5]))
     # Trial 0: means of the last two; trial 1 stopped after one episode and keeps its score.
     assert table.T.tolist() == [[10.0, 15.0, 30.0, 30.0], [7.0, 7.0, 7.0, 7.0]]
+
+
+def test_sections_of_other_environments_or_caps_are_told_apart_by_their_titles(tmp_path, make_job):
+    make_job(tmp_path / "train", "a", [150, 200], env="CartPole-v1")
+    make_job(tmp_path / "train", "b", [150, 200], env="Acrobot-v1")
+    make_job(tmp_path / "train", "c", [150, 200], env="Acrobot-v1", cap=500)
+    titles = {g.title for g in group_jobs(load([tmp_path]).jobs)}
+    assert titles == {
+        "softmax, CartPole-v1", "softmax, Acrobot-v1, cap 1,000", "softmax, Acrobot-v1, cap 500"
+    }  # fmt: skip
+    page, _ = build_report([tmp_path], tmp_path / "out", resamples=99)
+    text = page.read_text(encoding="utf-8")
+    assert "learned Acrobot-v1 (in sections of their own CartPole-v1) with REINFORCE" in text
+
+
+def test_a_cap_before_the_first_full_window_is_told(tmp_path, make_job):
+    make_job(tmp_path / "train", "a", [50, 50], cap=50)
+    make_job(tmp_path / "train", "b", [50, 50], cap=50, strategy="random")
+    page, _ = build_report([tmp_path], tmp_path / "out", resamples=99)
+    text = page.read_text(encoding="utf-8")
+    assert "No trial could pass: the cap of 50 iterations ends it before it has the 100" in text

@@ -48,12 +48,13 @@ def test_schedules_are_named_with_their_parameter(make):
 
 def test_every_strategy_of_the_configuration_has_a_label_and_a_look():
     from trl_explore.config import CONF
+    from trl_explore.report import prose
     from trl_explore.report.labels import STRATEGIES, strategy_label
     from trl_explore.report.style import KNOWN, styles
 
-    assert set(STRATEGIES) == set(KNOWN)
     names = sorted(path.stem for path in (CONF / "strategy").glob("*.yaml"))
     assert set(KNOWN) <= set(names)
+    assert set(STRATEGIES) == set(prose.STRATEGIES) == set(names)
     assert len({strategy_label(name) for name in names}) == len(names)
     looks = styles(names)
     assert len({(look.marker, look.line) for look in looks}) == len(names)

@@ -142,6 +142,22 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
+def test_trials_too_few_to_find_anything_are_said_to_be(tmp_path, make_job):
+    # Two strategies, one pair: the smallest p of a sign-flip test is 2 / 2^5 = 0.0625, 2 / 2^6.
+    pages = []
+    for n in (5, 6):
+        sweep = tmp_path / f"{n}" / "train"
+        make_job(sweep, "fast", [150 + k for k in range(n)], strategy="softmax")
+        make_job(sweep, "slow", [900 + 3 * k for k in range(n)], strategy="epsilon_greedy")
+        page, _ = build_report([sweep], tmp_path / f"out {n}", resamples=99)
+        pages.append(page.read_text(encoding="utf-8"))
+    assert "5 trials are too few to tell any two configurations apart" in pages[0]
+    assert "needs at least 6 trials of each" in pages[0]
+    assert "5 trials per configuration find no difference, however large" in pages[0]
+    assert "too few" not in pages[1]
+    assert "1 of 1 pair differs" in pages[1]
+
+
 def test_experiments_that_are_missing_are_not_measured(tmp_path, make_job):
     make_job(tmp_path / "train", "softmax", [150, 200])
     page, _ = build_report([tmp_path], tmp_path / "out", resamples=99)

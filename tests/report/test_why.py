@@ -42,6 +42,34 @@ def test_the_crossed_table_has_the_numbers_of_the_trials(evidence):
     ]  # fmt: skip
 
 
+def test_what_the_corrections_do_stands_before_the_distance(tmp_path, make_job, layouts):
+    for strategy in ("argmax", "softmax"):  # the thesis's experiment comes first on a page
+        make_job(tmp_path / "thesis", strategy, [150, 160, 170], strategy=strategy)
+    folders = [tmp_path / "thesis", layouts / "corrections"]
+    text = build_report(folders, tmp_path / "out", resamples=99)[0].read_text(encoding="utf-8")
+    section = text[text.index('<section id="why">') :]
+    section = section[: section.index("</section>")]
+    far = section.index("How far μ was from π</h3>")
+    assert section.index('id="figure-corrections-effects"') < far
+    assert far < section.index('id="figure-corrections-kl"')
+
+
+def test_nothing_is_said_of_a_distance_that_was_not_recorded(tmp_path, make_job):
+    sweep = tmp_path / "corrections"
+    for correction in ("NoCorrection", "PerStep"):
+        for k, strategy in enumerate(("argmax", "softmax")):
+            make_job(sweep, f"{strategy},{correction}", [150 + 9 * k, 160, 170, 180, 190, 999],
+                     strategy=strategy, groups={"correction": correction})  # fmt: skip
+    page, _ = build_report([sweep], tmp_path / "out", resamples=99)
+    text = page.read_text(encoding="utf-8")
+    assert "Which conclusions survive" in text
+    assert "The distance was recorded" not in text
+    pairs = (tmp_path / "out" / "tables" / "corrections-pairs.md").read_text(encoding="utf-8")
+    assert pairs.count("the very same") == 2
+    assert "may be chance" not in pairs
+    assert "all alike except for their strategy and, where it says so, their correction." in text
+
+
 def test_conclusions_show_both_verdicts(evidence):
     table = why.conclusions_table(evidence.reexamined)
     assert len(table.records) == 10

@@ -347,6 +347,13 @@ def test_keys_can_be_renamed():
     assert data["move"].shape == (2,)
 
 
+@everyone
+def test_who_exploits_reads_and_writes_the_same_entries(name):
+    strategy = build(name, loc_key="mean", scale_key="deviation", action_key="torque")
+    data = TensorDict({"mean": LOC, "deviation": SCALE})
+    assert torch.equal(strategy.exploiting()(data)["torque"], LOC)
+
+
 # State and parameters
 
 

@@ -5,8 +5,11 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 
+from trl_explore.collectors import FusedCollector
+from trl_explore.envs import make_env
+from trl_explore.policies import LinearPolicy
 from trl_explore.schedules import Constant, Exponential, Linear, Piecewise
 from trl_explore.strategies import (
     Argmax,
@@ -16,6 +19,7 @@ from trl_explore.strategies import (
     FullMixture,
     MaxBoltzmann,
     Mixture,
+    MixtureStrategy,
     Random,
     Softmax,
     mixture_probs,
@@ -358,3 +362,35 @@ def test_decay_out_of_range(decay):
 def test_temperature_out_of_range(temperature):
     with pytest.raises(ValueError, match="temperature must be a number > 0"):
         Softmax(temperature)
+
+
+class Stated(MixtureStrategy):
+    """A strategy that states what it is given, from iteration 1 on."""
+
+    def __init__(self, point: Mixture) -> None:
+        super().__init__()
+        self.point = point
+
+    def mixture(self) -> Mixture:
+        return self.point if self.iteration else Mixture(uniform=1.0)
+
+
+@pytest.mark.parametrize(
+    ("point", "message"),
+    [
+        (Mixture(softmax=1.0, temperature=np.ones(2)), "temperature has 2 values, but there are 5"),
+        (Mixture(softmax=0.5, uniform=0.1), "must be >= 0 and sum to 1, got 0.0, 0.5 and 0.1"),
+        (Mixture(softmax=1.5, uniform=-0.5), "must be >= 0 and sum to 1"),
+        (Mixture(greedy=np.full(5, 0.5), uniform=np.linspace(0.5, 0.6, 5)), "sum to 1"),
+        (Mixture(softmax=math.nan), "sum to 1"),
+    ],
+)
+def test_what_is_no_mixture_is_refused_whenever_it_comes(point, message):
+    """Compiled code must not read beside an array, and a weight must not get lost."""
+    env = make_env("CartPole-v1", trials=5)
+    strategy = Stated(point)
+    collector = FusedCollector(env, TensorDictSequential(LinearPolicy(env), strategy))
+    collector.collect()
+    strategy.step()
+    with pytest.raises(ValueError, match=message):
+        collector.collect()

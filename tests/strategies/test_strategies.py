@@ -204,6 +204,14 @@ def test_exploration_off_takes_the_argmax(name, mode):
         assert torch.equal(masked, logits[:, [0, 2, 3]].argmax(-1).apply_(lambda k: (0, 2, 3)[k]))
 
 
+def test_who_exploits_reads_and_writes_the_same_entries(name):
+    keys = {"logits_key": "value", "action_key": "move", "action_mask_key": "legal"}
+    greedy = build(name, spec=OneHot(4), **keys).exploiting()
+    legal = torch.tensor([[False, True, True, True]])
+    data = TensorDict({"value": torch.tensor([[5.0, 0, 3, 1]]), "legal": legal}, [1])
+    assert greedy(data)["move"].tolist() == [[False, False, True, False]]
+
+
 def test_exploration_off_draws_no_numbers(name):
     quiet, loud = build(name), build(name)
     with set_exploration_type(ExplorationType.DETERMINISTIC):

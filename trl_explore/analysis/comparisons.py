@@ -84,6 +84,7 @@ def compare(
     *,
     level: float = LEVEL,
     resamples: int = RESAMPLES,
+    tail: bool = False,
 ) -> Comparison:
     """Compare the times to convergence of two configurations on the trials both have.
 
@@ -95,6 +96,7 @@ def compare(
         rng: source of bootstrap and permutations.
         level: confidence level.
         resamples: of the bootstrap and of the test, each.
+        tail: of the test, see :func:`sign_flip_test`.
 
     Raises:
         ValueError: different cap, threshold or window; the same trials of the same
@@ -111,7 +113,9 @@ def compare(
     paired = len(i) > 0
     if paired:
         t_a, e_a, t_b, e_b = t_a[i], e_a[i], t_b[j], e_b[j]
-    result = mean_difference(t_a, t_b, rng, paired=paired, level=level, resamples=resamples)
+    result = mean_difference(
+        t_a, t_b, rng, paired=paired, level=level, resamples=resamples, tail=tail
+    )
     return Comparison(
         a=a.name,
         b=b.name,
@@ -171,8 +175,10 @@ def compare_pairs(
 
     """
     rngs = streams(rng, [f"{a.name} | {b.name}" for a, b in pairs])
+    # So many pairs that the smallest p of so many resamples, times their number, is no finding.
+    tail = len(pairs) > (1.0 - level) * (1 + resamples)
     table = [
-        compare(a, b, rngs[f"{a.name} | {b.name}"], level=level, resamples=resamples)
+        compare(a, b, rngs[f"{a.name} | {b.name}"], level=level, resamples=resamples, tail=tail)
         for a, b in pairs
     ]
     corrected = holm([c.p_value for c in table])

@@ -56,6 +56,7 @@ def mean_difference(
     paired: bool,
     level: float = LEVEL,
     resamples: int = RESAMPLES,
+    tail: bool = False,
 ) -> MeanDifference:
     """Δ̂ = mean(x) - mean(y) with percentile bootstrap interval and permutation p-value.
 
@@ -69,6 +70,7 @@ def mean_difference(
         paired: the design.
         level: confidence level.
         resamples: of the bootstrap and of the test, each.
+        tail: of the test, see :func:`sign_flip_test`.
 
     Raises:
         ValueError: an empty sample, values that are not finite, unequal lengths where paired.
@@ -85,7 +87,7 @@ def mean_difference(
         raise ValueError(f"samples of {a.size} and {b.size}: each needs one value, all finite")
     if not paired:
         estimate = bootstrap(_difference, [a, b], rng, level=level, resamples=resamples)
-        p = label_permutation_test(a, b, rng, resamples=resamples)
+        p = label_permutation_test(a, b, rng, resamples=resamples, tail=tail)
         n = min(len(a), len(b))
         sd = float(np.sqrt(a.var(ddof=1) + b.var(ddof=1))) if n > 1 else np.nan
         return MeanDifference(estimate, p, False, n, sd, np.nan, np.nan)
@@ -93,7 +95,7 @@ def mean_difference(
         raise ValueError(f"{len(a)} and {len(b)} values: pairs need the same number")
     d = a - b
     estimate = bootstrap(_mean, [d], rng, level=level, resamples=resamples)
-    p = sign_flip_test(d, rng, resamples=resamples)
+    p = sign_flip_test(d, rng, resamples=resamples, tail=tail)
     if len(d) < 2:
         return MeanDifference(estimate, p, True, len(d), np.nan, np.nan, np.nan)
     separate = a.var(ddof=1) + b.var(ddof=1)

@@ -65,3 +65,19 @@ class Outcomes:
     def durations(self) -> NDArray[np.int64]:
         """Iterations to convergence, or to censoring [n_trials]: a diverged trial at the cap."""
         return np.where(self.status == "diverged", self.cap, self.iterations)
+
+    @property
+    def judged_by(self) -> str:
+        """Which scores decide when a trial has converged: ``training``, or which evaluations."""
+        if self.config.get("stop_on", "training") == "training":
+            return "training"
+        every, count = self.config.get("evaluate_every"), self.config.get("evaluate_episodes", 1)
+        return f"{self.config['stop_on']} ({count} every {every} iterations)"
+
+    @property
+    def cut_short(self) -> bool:
+        """Whether the cap comes before the first full window, so that no trial could converge."""
+        per_update = self.config.get("episodes_per_update", 1)
+        if self.judged_by != "training" or not isinstance(per_update, int):
+            return False
+        return self.cap * per_update < self.window

@@ -23,8 +23,9 @@ from trl_explore.analysis.outcomes import Outcomes
 AGENT_GROUPS = (
     "env", "policy", "loss", "correction", "baseline", "optimizer", "episodes_per_update",
 )  # fmt: skip
-# Environments come with a proposal for the stopping rule, which is not part of the agent.
-STOPPING = ("score_threshold", "score_window", "max_iterations")
+# Environments come with a proposal for the stopping rule, and with the number of processes that
+# step them: neither is part of the agent.
+NO_AGENT = ("score_threshold", "score_window", "max_iterations", "workers")
 PER_TRIAL = ("trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status")
 
 
@@ -45,7 +46,7 @@ def configuration_key(outcomes: Outcomes) -> str:
     """
     groups = {key: outcomes.config[key] for key in AGENT_GROUPS if key in outcomes.config}
     if isinstance(env := groups.get("env"), Mapping):
-        groups["env"] = {key: value for key, value in env.items() if key not in STOPPING}
+        groups["env"] = {key: value for key, value in env.items() if key not in NO_AGENT}
     content = [outcomes.strategy, _canonical(outcomes.parameters), _canonical(groups)]
     return json.dumps(content, sort_keys=True, default=str)
 
@@ -143,17 +144,26 @@ def pool(jobs: Sequence[Outcomes]) -> Outcomes:
 
 
 def check_comparable(a: Outcomes, b: Outcomes) -> None:
-    """Raise ValueError unless both were stopped by the same rule (cap, threshold, window)."""
+    """Raise ValueError unless both were stopped by the same rule.
+
+    That is cap, threshold and window, and whether training or evaluation scores are held against
+    them.
+    """
     for word, x, y in (
         ("cap", a.cap, b.cap),
         ("threshold", a.threshold, b.threshold),
         ("window", a.window, b.window),
+        ("stopping scores", a.judged_by, b.judged_by),
     ):
         if x != y:
             raise ValueError(
-                f"{a.name} has {word} {x:g}, {b.name} has {y:g}: only configurations with the"
-                f" same {word} can be compared"
+                f"{a.name} has {word} {_text(x)}, {b.name} has {_text(y)}: only configurations"
+                f" with the same {word} can be compared"
             )
+
+
+def _text(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
 
 
 def _canonical(value: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations, product
-from math import comb
+from math import comb, exp
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +12,11 @@ from trl_explore.analysis.bootstrap import BATCH, RESAMPLES
 
 
 def sign_flip_test(
-    differences: ArrayLike, rng: np.random.Generator, *, resamples: int = RESAMPLES
+    differences: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    resamples: int = RESAMPLES,
+    tail: bool = False,
 ) -> float:
     """Two-sided p-value of H0: within each pair the two values are exchangeable.
 
@@ -20,11 +24,15 @@ def sign_flip_test(
 
     Exact by enumeration where 2^n ≤ ``resamples``; otherwise Monte Carlo, with the observed
     signs counted as one draw, (1 + hits) / (1 + resamples), which keeps the test valid.
+    Where no draw hits, that is 1 / (1 + resamples) however large the difference, too coarse for
+    a correction over hundreds of tests; Hoeffding's bound p ≤ 2 exp(-(Σ d_i)² / 2 Σ d_i²) is not.
 
     Args:
         differences: d = x - y per pair, [n_pairs].
         rng: source of the signs (unused where the test is exact).
         resamples: number of random sign vectors.
+        tail: return that bound where no draw hits and it is smaller. The test stays valid: the
+            exact p is below the bound, and nothing changes at levels from 1 / (1 + resamples) up.
 
     Returns:
         p in (0, 1]; 1 when every difference is zero.
@@ -32,7 +40,8 @@ def sign_flip_test(
     Raises:
         ValueError: no pair, or a difference that is not finite.
 
-    Source: Fisher, The Design of Experiments (1935), §21; Phipson & Smyth (2010) for the +1.
+    Source: Fisher, The Design of Experiments (1935), §21; Phipson & Smyth (2010) for the +1;
+    Hoeffding, Journal of the American Statistical Association 58 (1963), theorem 2.
 
     >>> sign_flip_test([1.0, 2.0, 3.0], np.random.default_rng(0))
     0.25
@@ -51,11 +60,18 @@ def sign_flip_test(
     for start in range(0, resamples, rows):
         flips = rng.integers(2, size=(min(rows, resamples - start), n), dtype=np.int8)
         hits += int(np.count_nonzero(np.abs(d.sum() - 2.0 * (flips @ d)) >= least))
+    if tail and not hits:
+        return min(1 / (1 + resamples), _hoeffding(d.sum() ** 2 / (2.0 * (d @ d))))
     return (1 + hits) / (1 + resamples)
 
 
 def label_permutation_test(
-    x: ArrayLike, y: ArrayLike, rng: np.random.Generator, *, resamples: int = RESAMPLES
+    x: ArrayLike,
+    y: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    resamples: int = RESAMPLES,
+    tail: bool = False,
 ) -> float:
     """Two-sided p-value of H0: both samples come from one distribution.
 
@@ -63,12 +79,15 @@ def label_permutation_test(
 
     Exact by enumeration where the number of relabellings is at most ``resamples``; otherwise
     Monte Carlo as in :func:`sign_flip_test`. For independent trials; pairs need the sign flips.
+    Hoeffding's bound is here p ≤ 2 exp(-2 (Σ x_i - n_x m)² / n (max - min)²), m the mean and
+    max - min the range of all values, n the smaller of n_x and n_y.
 
     Args:
         x: first sample [n_x].
         y: second sample [n_y].
         rng: source of the relabellings (unused where the test is exact).
         resamples: number of random relabellings.
+        tail: as in :func:`sign_flip_test`.
 
     Returns:
         p in (0, 1]; 1 when all values are equal.
@@ -76,7 +95,8 @@ def label_permutation_test(
     Raises:
         ValueError: an empty sample, or a value that is not finite.
 
-    Source: Phipson & Smyth, Statistical Applications in Genetics 9 (2010).
+    Source: Phipson & Smyth, Statistical Applications in Genetics 9 (2010); Hoeffding (1963),
+    theorem 2 and §6, draws without replacement.
 
     >>> label_permutation_test([1.0, 2.0], [3.0, 4.0], np.random.default_rng(0)) * 6
     2.0
@@ -99,7 +119,15 @@ def label_permutation_test(
         order = np.tile(pooled, (min(rows, resamples - start), 1))
         rng.permuted(order, axis=1, out=order)
         hits += int(np.count_nonzero(np.abs(order[:, : len(a)].sum(1) - expected) >= least))
+    if tail and not hits:
+        spread = min(len(a), len(b)) * np.ptp(pooled) ** 2
+        return min(1 / (1 + resamples), _hoeffding(2.0 * (a.sum() - expected) ** 2 / spread))
     return (1 + hits) / (1 + resamples)
+
+
+def _hoeffding(exponent: float) -> float:
+    # Never 0: e^-700 is a number yet, and small enough for every correction.
+    return 2.0 * exp(-min(float(exponent), 700.0))
 
 
 def _tolerated(observed: float, values: NDArray[np.float64]) -> float:

@@ -52,7 +52,9 @@ def detectable_difference(
 def trials_for_difference(
     sd: float, difference: float, *, power: float = POWER, level: float = LEVEL
 ) -> int | None:
-    """Pairs needed to find a difference of means: n = ⌈((z_{1-α/2} + z_power) sd / δ)²⌉, ≥ 2.
+    """Pairs needed to find a difference of means: n = ⌈((z_{1-α/2} + z_power) sd / δ)²⌉.
+
+    At least :func:`fewest_pairs`, below which a permutation test finds nothing.
 
     Args:
         sd: of a pair's difference, ≥ 0.
@@ -75,7 +77,28 @@ def trials_for_difference(
     z = _z_sum(power, level)
     if not (math.isfinite(sd) and math.isfinite(difference)) or difference == 0:
         return None
-    return _whole((z * sd / difference) ** 2)
+    n = _whole((z * sd / difference) ** 2)
+    return None if n is None else max(n, fewest_pairs(level))
+
+
+def fewest_pairs(level: float = LEVEL) -> int:
+    """Pairs below which no difference is found, however large: 2 / 2^n ≤ α, n = ⌈1 + log₂ 1/α⌉.
+
+    The smallest p of a two-sided sign-flip test of n pairs is 2 / 2^n: all differences have one
+    sign.
+
+    Args:
+        level: 1 - α of the two-sided test.
+
+    Raises:
+        ValueError: level outside (0, 1).
+
+    >>> fewest_pairs(0.95), fewest_pairs(1 - 0.05 / 10)
+    (6, 9)
+
+    """
+    check_level(level)
+    return math.ceil(1.0 - math.log2(1.0 - level) - 1e-9)
 
 
 def detectable_rate_difference(

@@ -85,6 +85,7 @@ class EpisodeCollector(BaseCollector):
         self.total_frames = total_frames
         self.episodes_per_update = check_integer("episodes_per_update", episodes_per_update, 1)
         lanes = self.lanes
+        self.strategy = _strategy_of(policy)
         self.strategy.serve(env.action_spec)
         self.strategy.bind(
             policy[0], lanes.num_envs, seed=lanes.seed, first_trial=lanes.first_trial
@@ -92,17 +93,6 @@ class EpisodeCollector(BaseCollector):
         self.frames = 0
         self.episodes = np.zeros(self.lanes.num_envs, dtype=np.int64)
         self.closed = False
-
-    @property
-    def strategy(self) -> BaseStrategy:
-        """The strategy at the end of the policy."""
-        strategy = self.policy[-1]
-        if not isinstance(strategy, BaseStrategy):
-            raise ValueError(
-                "the collector's policy must be TensorDictSequential(policy, strategy); "
-                f"its last module is a {type(strategy).__name__}"
-            )
-        return strategy
 
     @property
     def trials(self) -> int:
@@ -184,3 +174,18 @@ class EpisodeCollector(BaseCollector):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(env={self.lanes.id}, trials={self.trials})"
+
+
+def _strategy_of(policy: TensorDictSequential) -> BaseStrategy:
+    """The strategy at the end of the policy.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    strategy = policy[-1]
+    if not isinstance(strategy, BaseStrategy):
+        raise ValueError(
+            "the collector's policy must be TensorDictSequential(policy, strategy); "
+            f"its last module is a {type(strategy).__name__}"
+        )
+    return strategy

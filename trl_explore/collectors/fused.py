@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import Any, cast
 
 import gymnasium as gym
@@ -16,7 +17,7 @@ from gymnasium.wrappers import (
     TimeLimit,
 )
 from numpy.typing import NDArray
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torch import nn
 from torchrl.data import OneHot
@@ -25,8 +26,10 @@ from torchrl.envs.utils import ExplorationType
 
 from trl_explore.checks import check_integer
 from trl_explore.collectors.base import EpisodeCollector
-from trl_explore.collectors.loop import compile_loop, scratch
+from trl_explore.collectors.columns import Columns, Part, grow, joined
+from trl_explore.collectors.loop import compile_loop
 from trl_explore.collectors.networks import Network, arrays, network_of
+from trl_explore.collectors.scratch import scratch
 from trl_explore.envs import lane_env
 from trl_explore.kernels import Kernel, kernel_of
 from trl_explore.policies.base import is_one_hot
@@ -39,55 +42,12 @@ TRANSFORMS = (StepCounter, RewardSum)
 
 MIN_TRIALS = 64
 """Trials for each thread below which dividing them costs more than it saves."""
-ROOT = ("trial", "observation", "action", "action_log_prob", "action_mask")
-NEXT = ("reward", "done", "terminated", "truncated", "step_count", "episode_reward")
+FIRST_FRAMES = 64
+"""Frames of an episode that there is room for at first."""
 
 
 class NotCompilableError(ValueError):
     """What the fused collector was given and cannot compile; the message says why."""
-
-
-class Columns:
-    """Flat arrays for frames, kept from call to call, that grow when an episode might not fit."""
-
-    def __init__(self, n_features: int, n_masks: int = 0) -> None:
-        self.n_features, self.n_masks = n_features, n_masks
-        self.capacity = 0
-        self.arrays: tuple[NDArray[Any], ...] = ()
-
-    def reserve(self, capacity: int, used: int = 0) -> None:
-        """Make room for ``capacity`` frames; the first ``used`` are kept."""
-        if capacity <= self.capacity:
-            return
-        shapes = (
-            ((), np.int64),  # trial
-            ((self.n_features,), np.float32),  # observation
-            ((), np.int64),  # action
-            ((), np.float32),  # action_log_prob
-            ((), np.float32),  # reward
-            ((), np.bool_),  # done
-            ((), np.bool_),  # terminated
-            ((), np.bool_),  # truncated
-            ((), np.int64),  # step_count
-            ((), np.float32),  # episode_reward
-            ((self.n_masks,), np.bool_),  # action_mask
-        )
-        grown = tuple(np.empty((capacity, *shape), dtype) for shape, dtype in shapes)
-        for new, old in zip(grown, self.arrays, strict=False):
-            new[:used] = old[:used]
-        self.capacity, self.arrays = capacity, grown
-        root = (*grown[:4], *([grown[10]] if self.n_masks else []))
-        self._root = dict(zip(ROOT, map(torch.from_numpy, root), strict=False))
-        after = (torch.from_numpy(array).unsqueeze(-1) for array in grown[4:10])
-        self._next = dict(zip(NEXT, after, strict=True))
-
-    def frames(self, n: int) -> TensorDict:
-        """The first n frames as a TensorDict over the same memory."""
-        batch = torch.Size([n])
-        source: dict[str, Any] = {name: column[:n] for name, column in self._root.items()}
-        after = {name: column[:n] for name, column in self._next.items()}
-        source["next"] = TensorDict._new_unsafe(after, batch)
-        return TensorDict._new_unsafe(source, batch)
 
 
 class FusedCollector(EpisodeCollector):
@@ -123,21 +83,29 @@ class FusedCollector(EpisodeCollector):
         self._loop = compile_loop(self.kernel, self.network, masked)
         self.threads = check_integer("threads", threads, 1)
         n_masks = self.kernel.n_actions if masked else 0
-        self._workers = [
-            (
-                Columns(self.kernel.n_features, n_masks),
-                scratch(self.kernel, self.network, self.lanes.max_steps, masked),
-            )
-            for _ in range(threads)
-        ]
+        self._columns = [Columns(self.kernel.n_features, n_masks) for _ in range(threads)]
+        episodes = self.trials * self.episodes_per_update
+        sizes = self.kernel, self.network, self.lanes.max_steps, masked, episodes
+        self._scratches = [scratch(*sizes) for _ in range(threads)]
 
     def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
-        trials = np.repeat(np.flatnonzero(active), self.episodes_per_update)
+        trials = np.flatnonzero(active)
         self.strategy.begin(active, self.episodes)
+        episodes = self.episodes[trials]
+        if self.episodes_per_update > 1:
+            numbers = np.arange(self.episodes_per_update)
+            trials = np.repeat(trials, self.episodes_per_update)
+            episodes = (episodes[:, None] + numbers).reshape(-1)
+        parts = self._divide(trials, episodes)
+        self._run(parts, self._context())
+        return joined(parts)
+
+    def _context(self) -> tuple[Any, ...]:
+        """What the loop is told of the policy, the strategy and the random streams."""
         explore = self.exploration_type == ExplorationType.RANDOM
         strategy = cast(MixtureStrategy, self.strategy)
         acting = strategy.behaviour_parameters(self._parameters) if explore else self._parameters
-        context = (
+        return (
             self.lanes.first_trial,
             key(self.lanes.seed, self.lanes.stream),
             key(self.lanes.seed, Stream.ACTION),
@@ -145,56 +113,49 @@ class FusedCollector(EpisodeCollector):
             self._mixture(),
             explore,
         )
-        numbers = np.arange(len(trials)) % self.episodes_per_update
-        episodes = self.episodes[trials] + numbers
-        workers = self._workers if len(trials) >= MIN_TRIALS * self.threads else self._workers[:1]
-        if len(workers) == 1:
-            return workers[0][0].frames(self._run(workers[0], trials, episodes, context))
-        threads = pool()
-        parts = np.array_split(np.arange(len(trials)), len(workers))
-        calls = [
-            threads.submit(self._run, worker, trials[part], episodes[part], context)
-            for worker, part in zip(workers, parts, strict=True)
-        ]
-        sizes = [call.result() for call in calls]
-        columns = [worker[0] for worker in workers]
-        columns[0].reserve(sum(sizes), sizes[0])
-        ends = np.cumsum(sizes).tolist()
-        copies = [
-            threads.submit(np.copyto, own[ends[i - 1] : ends[i]], array[: sizes[i]])
-            for i in range(1, len(workers))
-            for own, array in zip(columns[0].arrays, columns[i].arrays, strict=True)
-        ]
-        for copy in copies:
-            copy.result()
-        return columns[0].frames(ends[-1])
 
-    def _run(
-        self,
-        worker: tuple[Columns, tuple[NDArray[Any], ...]],
-        trials: NDArray[np.int64],
-        episodes: NDArray[np.int64],
-        context: tuple[Any, ...],
-    ) -> int:
-        """Fill a worker's columns with episodes of ``trials``; returns the number of frames."""
-        columns, memory = worker
-        columns.reserve(len(trials) * 64)
-        finished = frames = 0
-        while True:
-            done, frames = self._loop(
-                self.kernel.parameters, trials[finished:], episodes[finished:], *context,
-                memory, columns.arrays, frames,
-            )  # fmt: skip
-            finished += done
-            if finished == len(trials):
-                return frames
-            columns.reserve(2 * columns.capacity, frames)
+    def _divide(self, trials: NDArray[np.int64], episodes: NDArray[np.int64]) -> list[Part]:
+        """A part of the episodes for each thread, but no small ones."""
+        count = max(1, min(self.threads, len(trials) // MIN_TRIALS))
+        if count == 1:
+            return [Part(self._columns[0], self._scratches[0], trials, episodes)]
+        edges = [len(trials) * i // count for i in range(count + 1)]
+        # The two parts in the middle share the first columns, of which one fills the frames
+        # before the middle, and the other those behind it.
+        middle = count // 2
+        columns = [self._columns[0] if i in (middle - 1, middle) else None for i in range(count)]
+        others = iter(self._columns[1:])
+        return [
+            Part(
+                columns[i] or next(others), self._scratches[i], trials[low:high],
+                episodes[low:high], backwards=i == middle - 1,
+            )
+            for i, (low, high) in enumerate(pairwise(edges))
+        ]  # fmt: skip
+
+    def _run(self, parts: list[Part], context: tuple[Any, ...]) -> None:
+        """Run all parts to their end, with more memory as often as it takes."""
+        grow(parts, FIRST_FRAMES)
+        left = parts
+        while left:
+            if len(left) == 1:
+                left[0].run(self._loop, self.kernel.parameters, context)
+            else:
+                run = Part.run
+                calls = [
+                    pool().submit(run, part, self._loop, self.kernel.parameters, context)
+                    for part in left
+                ]
+                for call in calls:
+                    call.result()
+            left = [part for part in left if len(part.trials)]
+            if left:
+                grow(parts)
 
     def _mixture(self) -> NDArray[np.float64]:
         """Weights and temperature [4, 1], or [4, trials] where they differ between trials."""
-        strategy = self.strategy
-        assert isinstance(strategy, MixtureStrategy)
-        point = strategy.mixture()
+        # Compiled code would read beside an array that is too short.
+        point = cast(MixtureStrategy, self.strategy).checked_mixture(self.trials)
         if all(isinstance(value, float) for value in point):
             return np.array(point).reshape(4, 1)
         return np.stack(np.broadcast_arrays(*map(np.atleast_1d, point))).astype(np.float64)

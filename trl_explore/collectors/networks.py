@@ -21,6 +21,8 @@ from trl_explore.policies import LaneLinear, LaneMLP, LinearPolicy, MLPPolicy, T
 
 CACHE_BYTES = 1 << 15
 """The weights of a group of episodes should stay in the processor's first cache."""
+LOCAL = 64
+"""Up to so many weights of a linear policy are kept lane by lane."""
 
 
 class Network(NamedTuple):
@@ -42,6 +44,12 @@ class Network(NamedTuple):
     def layers(self) -> list[tuple[int, int]]:
         """Inputs and outputs of every layer that an episode keeps a copy of."""
         return list(pairwise(self.sizes)) if self.kind == "mlp" else []
+
+    @property
+    def local(self) -> int:
+        """How many weights every lane keeps beside its state: those of a small linear policy."""
+        n_in, n_out = self.sizes[0], self.sizes[-1]
+        return n_in * n_out if self.kind == "linear" and n_in * n_out <= LOCAL else 0
 
     def group(self) -> int:
         """The weights of how many episodes fit into the cache."""
@@ -96,24 +104,47 @@ def arrays(network: Network, parameters: Sequence[Tensor]) -> Any:
 def compile_network(network: Network) -> tuple[Any, Any]:
     """The functions of a policy, to be compiled into the loop.
 
-        load(parameters, row, j, own)                     before episode j of trial ``row``
-        logits(parameters, row, j, own, hidden, x, out)   of observation x, into ``out``
+        load(parameters, row, local, own, slot)        before an episode of trial ``row``
+        logits(parameters, row, local, own, slot, hidden, x, out)   of observation x, into ``out``
 
-    with ``parameters`` of ``arrays``, and ``own`` and ``hidden`` of ``Network.memory``.
+    with ``parameters`` of ``arrays``, ``local`` [network.local] the weights that a lane keeps, and
+    ``own`` and ``hidden`` of ``Network.memory``, in which the episode's place is ``slot``.
     """
     if network.kind == "mlp":
         return _mlp(network)
-    return _nothing, (_table if network.kind == "table" else _linear)(*network.sizes)
+    n_in, n_out = network.sizes
+    if network.local:
+        return _local(n_in, n_out)
+    return _nothing, (_table if network.kind == "table" else _linear)(n_in, n_out)
 
 
 @kernel_function
-def _nothing(parameters, row, j, own):
-    """A linear policy reads the parameters themselves."""
+def _nothing(parameters, row, local, own, slot):
+    """The policy reads the parameters themselves."""
+
+
+def _local(n_features: int, n_actions: int) -> tuple[Any, Any]:
+    @kernel_function
+    def load(parameters, row, local, own, slot):
+        weight = borrow(parameters)
+        for a in range(n_actions):
+            for k in range(n_features):
+                local[a * n_features + k] = weight[row, a, k]
+
+    @kernel_function
+    def logits(parameters, row, local, own, slot, hidden, x, out):
+        for a in range(n_actions):
+            logit = local[a * n_features] * x[0]
+            for k in range(1, n_features):
+                logit += local[a * n_features + k] * x[k]
+            out[a] = logit
+
+    return load, logits
 
 
 def _linear(n_features: int, n_actions: int) -> Any:
     @kernel_function
-    def logits(parameters, row, j, own, hidden, x, out):
+    def logits(parameters, row, local, own, slot, hidden, x, out):
         weight = borrow(parameters)
         for a in range(n_actions):
             logit = weight[row, a, 0] * x[0]
@@ -126,7 +157,7 @@ def _linear(n_features: int, n_actions: int) -> Any:
 
 def _table(n_features: int, n_actions: int) -> Any:
     @kernel_function
-    def logits(parameters, row, j, own, hidden, x, out):
+    def logits(parameters, row, local, own, slot, hidden, x, out):
         weight = borrow(parameters)
         state = 0
         for k in range(n_features):
@@ -149,7 +180,7 @@ def _mlp(network: Network) -> tuple[Any, Any]:
 
 
 @kernel_function
-def _nowhere(parameters, row, j, own, hidden, x, out):
+def _nowhere(parameters, row, local, own, slot, hidden, x, out):
     """What comes before the first layer."""
 
 
@@ -158,22 +189,22 @@ def _load(before: Any, i: int, n_in: int, n_out: int, bias: bool) -> Any:
     wide = n_out >= WIDE
 
     @kernel_function
-    def load(parameters, row, j, own):
-        before(parameters, row, j, own)
+    def load(parameters, row, local, own, slot):
+        before(parameters, row, local, own, slot)
         weight, room = borrow(parameters[0][i]), borrow(own[i])
         for a in range(n_out):
             for k in range(n_in):
                 if wide:
-                    room[j, k, a] = weight[row, a, k]
+                    room[slot, k, a] = weight[row, a, k]
                 else:
-                    room[j, a, k] = weight[row, a, k]
+                    room[slot, a, k] = weight[row, a, k]
         if bias:
             start = borrow(parameters[1][i])
             for a in range(n_out):
                 if wide:
-                    room[j, n_in, a] = start[row, a]
+                    room[slot, n_in, a] = start[row, a]
                 else:
-                    room[j, a, n_in] = start[row, a]
+                    room[slot, a, n_in] = start[row, a]
 
     return load
 
@@ -182,16 +213,16 @@ def _layer(i: int, n_in: int, n_out: int, bias: bool) -> Any:
     """The affine map of layer i (``ops.lane_linear``)."""
 
     @kernel_function
-    def wide(own, j, x, out):
-        columns = borrow(own[i])[j]
+    def wide(own, slot, x, out):
+        columns = borrow(own[i])[slot]
         accumulate(columns, x, out, n_in, n_out)
         if bias:
             for a in range(n_out):
                 out[a] += columns[n_in, a]
 
     @kernel_function
-    def narrow(own, j, x, out):
-        rows = borrow(own[i])[j]
+    def narrow(own, slot, x, out):
+        rows = borrow(own[i])[slot]
         for a in range(n_out):
             total = rows[a, 0] * x[0]
             for k in range(1, n_in):
@@ -206,11 +237,11 @@ def _chain(before: Any, layer: Any, i: int, n_out: int, phi: Any, is_last: bool)
     is_first, source, target = i == 0, (i + 1) % 2, i % 2
 
     @kernel_function
-    def logits(parameters, row, j, own, hidden, x, out):
-        before(parameters, row, j, own, hidden, x, out)
+    def logits(parameters, row, local, own, slot, hidden, x, out):
+        before(parameters, row, local, own, slot, hidden, x, out)
         units = borrow(hidden)
         y = out if is_last else units[target]
-        layer(own, j, x if is_first else units[source], y)
+        layer(own, slot, x if is_first else units[source], y)
         if not is_last:
             for a in range(n_out):
                 y[a] = phi(y[a])

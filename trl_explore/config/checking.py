@@ -128,6 +128,9 @@ def describe(error: BaseException) -> str:
         group, options = error.missing_cfg_file or "", error.options or []
         name, _, option = group.rpartition("/")
         return f"there is no {name}={option}; available: {', '.join(options)}"
+    if unknown and re.match(r"env\.(kwargs|attributes)\b", unknown[1]):
+        added = re.search(r"use (\+.*)", str(error))
+        return f"'{unknown[1]}' is not there yet; a + adds it" + (f": {added[1]}" if added else "")
     if unknown and unknown[1]:
         return f"unknown key '{unknown[1]}'; --help lists the keys of this configuration"
     if "Config group override must be" in str(error):

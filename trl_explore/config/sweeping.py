@@ -79,6 +79,7 @@ def end_job(folder: Path, error: str = "", *, record: bool = True) -> Ended:
             if {path.name for path in folder.iterdir()} == {".hydra"}:
                 shutil.rmtree(folder / ".hydra")
             folder.rmdir()
+        with suppress(OSError):  # also where the lock has removed the job's own already
             folder.parent.rmdir()
         if record and is_multirun():
             sweeps.record_failure(folder, error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import torch
@@ -10,6 +11,7 @@ from torchrl.modules import ProbabilisticActor
 
 from trl_explore.checks import check_flag, check_number
 from trl_explore.episodes import Episodes
+from trl_explore.ops import lane_sum
 from trl_explore.strategies import BaseStrategy
 
 
@@ -92,8 +94,32 @@ class ImportanceWeights(NoCorrection):
         return actor
 
     def _clipped(self, log_weight: Tensor) -> Tensor:
-        weight = log_weight.exp()
-        return weight if self.clip is None else weight.clamp(max=self.clip)
+        """Log min(w, clip), of log w."""
+        return log_weight if self.clip is None else log_weight.clamp(max=math.log(self.clip))
+
+
+def shares(log_weight: Tensor, group: Tensor, groups: int) -> Tensor:
+    """The weights divided by their mean over a group: w_i / mean{w_j: group_j = group_i} [n].
+
+    Weights of long episodes are too small for a number; their quotients are not, and only those
+    are formed. Where all weights of a group are 0, so are the quotients.
+
+    Args:
+        log_weight: log w [n].
+        group: [n] int64 in [0, groups).
+        groups: their number.
+
+    Example:
+        >>> shares(torch.tensor([-3000.0, -3000.0]), torch.tensor([0, 0]), 1)
+        tensor([1., 1.])
+    """
+    lowest = torch.finfo(log_weight.dtype).min  # in the place of −∞, for differences
+    largest = log_weight.new_full((groups,), lowest)
+    largest = largest.scatter_reduce(0, group, log_weight, "amax")
+    weight = (log_weight - largest[group]).exp()
+    count = torch.bincount(group, minlength=groups).clamp(min=1)
+    mean = lane_sum(weight, group, groups) / count
+    return weight / mean.clamp(min=torch.finfo(mean.dtype).tiny)[group]
 
 
 def log_ratio_of(log_prob: Tensor, behaviour: Tensor) -> Tensor:

@@ -18,9 +18,10 @@ class Behaviour(NoCorrection):
 
     The agent is then μ, and the gradient that of μ's own return: on-policy, and unbiased (at
     γ = 1, or with the factor γ^t), with no ratio and its variance. It exists where μ depends
-    differentiably on the logits: softmax at a temperature, mixtures of it with the uniform corner
-    (ε-softmax), a bonus added to the logits; not with a share of argmax, whose probabilities are
-    piecewise constant.
+    differentiably on the logits: softmax at a temperature, and mixtures of it with the uniform
+    corner (ε-softmax); not with a share of argmax, whose probabilities are piecewise constant.
+    Where μ does not follow the policy at all (uniform, or ε = 1 in an iteration) it is 0. An
+    entropy bonus in the loss is then that of μ, too.
 
     Example:
         >>> from trl_explore.strategies import Argmax
@@ -91,7 +92,9 @@ class _Density(Distribution):
         self.parameters, self.strategy = (loc, scale, trial), strategy
 
     def log_prob(self, value: Tensor) -> Tensor:
-        return self.strategy.log_prob(value, *self.parameters)
+        log_prob = self.strategy.log_prob(value, *self.parameters)
+        loc, scale, _ = self.parameters
+        return _connected(log_prob, (loc + scale).sum(-1))
 
     def entropy(self) -> Tensor:
         raise ValueError(
@@ -113,4 +116,12 @@ class _Probs(TensorDictModuleBase):
         logits, mask = tensordict.get("logits"), tensordict.get("action_mask", None)
         if mask is not None:
             logits = logits.masked_fill(~mask, -torch.inf)
-        return tensordict.set("probs", self.probs(logits, tensordict.get("trial")))
+        probs = self.probs(logits, tensordict.get("trial"))
+        return tensordict.set("probs", _connected(probs, logits))
+
+
+def _connected(found: Tensor, source: Tensor) -> Tensor:
+    """``found``; its gradient is 0, and not missing, where it does not depend on ``source``."""
+    if found.requires_grad or not source.requires_grad:
+        return found
+    return found + 0 * source.masked_fill(source == -torch.inf, 0)

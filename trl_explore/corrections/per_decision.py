@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from trl_explore.corrections.base import ImportanceWeights
+from trl_explore.corrections.base import ImportanceWeights, shares
 from trl_explore.episodes import Episodes
 
 
@@ -31,21 +31,19 @@ class PerDecision(ImportanceWeights):
     ) -> Tensor:
         """Σ_{j ≥ t} γ^{j−t} C_j r_j − C_t b_t [frames]."""
         assert log_ratio is not None
-        weight = self._clipped(episodes.cumulated(log_ratio))
-        if self.self_normalize:
-            weight = weight / _mean_at_step(episodes, weight)
+        log_weight = self._clipped(episodes.cumulated(log_ratio))
+        weight = _shares_at_step(episodes, log_weight) if self.self_normalize else log_weight.exp()
         weight = weight.to(episodes.reward.dtype)
         returns = episodes.to_go(weight * episodes.reward)
         return returns - weight * baseline
 
 
-def _mean_at_step(episodes: Episodes, weight: Tensor) -> Tensor:
-    """The mean of C at every frame's step over the episodes of its trial [frames]."""
+def _shares_at_step(episodes: Episodes, log_weight: Tensor) -> Tensor:
+    """C divided by its mean at every frame's step over the episodes of its trial [frames]."""
     steps = int(episodes.step.max()) + 1
-    grid = weight.new_zeros(len(episodes.owner), steps)
-    grid[episodes.index, episodes.step] = weight
-    over = torch.arange(steps, device=weight.device) > episodes.step[episodes.ends].unsqueeze(1)
-    grid = torch.where(over, weight[episodes.ends].unsqueeze(1), grid)
-    total = weight.new_zeros(episodes.trials, steps).index_add_(0, episodes.owner, grid)
-    mean = total / episodes.episodes_of_trial.clamp(min=1).unsqueeze(1)
-    return mean[episodes.trial, episodes.step]
+    last = log_weight[episodes.ends].unsqueeze(1)
+    grid = last.repeat(1, steps)  # what an episode counts with when it is over
+    grid[episodes.index, episodes.step] = log_weight
+    group = episodes.owner.unsqueeze(1) * steps + torch.arange(steps, device=grid.device)
+    found = shares(grid.reshape(-1), group.reshape(-1), episodes.trials * steps)
+    return found.reshape(grid.shape)[episodes.index, episodes.step]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from trl_explore.corrections.base import ImportanceWeights
+from trl_explore.corrections.base import ImportanceWeights, shares
 from trl_explore.episodes import Episodes
 
 
@@ -30,8 +30,10 @@ class PerStep(ImportanceWeights):
     ) -> Tensor:
         """ρ_t · (G_t − b_t) [frames]."""
         assert log_ratio is not None
-        weight = self._clipped(log_ratio)
+        log_weight = self._clipped(log_ratio)
         if self.self_normalize:
-            weight = weight / episodes.trial_mean(weight)[episodes.trial]
+            weight = shares(log_weight, episodes.trial, episodes.trials)
+        else:
+            weight = log_weight.exp()
         returns = episodes.returns
         return weight.to(returns.dtype) * (returns - baseline)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from trl_explore.corrections.base import ImportanceWeights
+from trl_explore.corrections.base import ImportanceWeights, shares
 from trl_explore.episodes import Episodes
-from trl_explore.ops import lane_sum
 
 
 class Trajectory(ImportanceWeights):
@@ -32,10 +31,10 @@ class Trajectory(ImportanceWeights):
     ) -> Tensor:
         """W · (G_t − b_t) [frames]."""
         assert log_ratio is not None
-        weight = self._clipped(episodes.by_episode(log_ratio))
+        log_weight = self._clipped(episodes.by_episode(log_ratio))
         if self.self_normalize:
-            total = lane_sum(weight, episodes.owner, episodes.trials)
-            mean = total / episodes.episodes_of_trial.clamp(min=1)
-            weight = weight / mean[episodes.owner]
+            weight = shares(log_weight, episodes.owner, episodes.trials)
+        else:
+            weight = log_weight.exp()
         returns = episodes.returns
         return weight.to(returns.dtype)[episodes.index] * (returns - baseline)

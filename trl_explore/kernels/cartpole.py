@@ -6,8 +6,10 @@ import math
 
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 
+from trl_explore.kernels import small_angles
 from trl_explore.kernels.base import Kernel, kernel_function, register_kernel
 from trl_explore.kernels.philox import random
+from trl_explore.kernels.small_angles import cos_sin
 
 
 @kernel_function
@@ -19,12 +21,24 @@ def reset(parameters, state, rng):
 
 @kernel_function
 def step(parameters, state, action, rng):
-    """One step of ``tau`` seconds under a force of ±``force_mag``, sums in gymnasium's order."""
+    """One step, where no episode goes on beyond |θ| of ``small_angles.LIMIT``."""
+    cos, sin = cos_sin(state[2])
+    return advance(parameters, state, action, cos, sin)
+
+
+@kernel_function
+def step_at_any_angle(parameters, state, action, rng):
+    """One step."""
+    return advance(parameters, state, action, math.cos(state[2]), math.sin(state[2]))
+
+
+@kernel_function
+def advance(parameters, state, action, cos, sin):
+    """``tau`` seconds under a force of ±``force_mag``, sums in gymnasium's order."""
     (gravity, masspole, total_mass, length, polemass_length, force_mag, tau,
      x_threshold, theta_threshold, euler, alive, fallen) = parameters  # fmt: skip
     x, x_dot, theta, theta_dot = state[0], state[1], state[2], state[3]
     force = force_mag if action == 1 else -force_mag
-    cos, sin = math.cos(theta), math.sin(theta)
     temp = (force + polemass_length * (theta_dot * theta_dot) * sin) / total_mass
     theta_acc = (gravity * sin - cos * temp) / (
         length * (4.0 / 3.0 - masspole * (cos * cos) / total_mass)
@@ -70,4 +84,6 @@ def cartpole(env: CartPoleEnv) -> Kernel:
         0.0 if sutton_barto else 1.0,
         -1.0 if sutton_barto else 1.0,
     )
-    return Kernel(reset, step, observe, parameters, state_size=4, n_features=4, n_actions=2)
+    small = env.theta_threshold_radians <= small_angles.LIMIT and small_angles.agree()
+    by = step if small else step_at_any_angle
+    return Kernel(reset, by, observe, parameters, state_size=4, n_features=4, n_actions=2)

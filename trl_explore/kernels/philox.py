@@ -24,23 +24,25 @@ _ELEVEN = np.uint64(11)
 
 
 @intrinsic
-def _multiply_high(typingctx, a, b):
-    """The upper 64 bits of a 128-bit product (one machine instruction)."""
+def _multiply(typingctx, a, b):
+    """The upper and the lower 64 bits of a 128-bit product (one machine instruction)."""
 
     def codegen(context, builder, signature, args):
-        wide = ir.IntType(128)
-        product = builder.mul(builder.zext(args[0], wide), builder.zext(args[1], wide))
-        return builder.trunc(builder.lshr(product, ir.Constant(wide, 64)), ir.IntType(64))
+        wide, word = ir.IntType(128), ir.IntType(64)
+        product = builder.mul(*(builder.zext(arg, wide) for arg in args))
+        high = builder.trunc(builder.lshr(product, ir.Constant(wide, 64)), word)
+        parts = high, builder.trunc(product, word)
+        return context.make_tuple(builder, signature.return_type, parts)
 
-    return types.uint64(types.uint64, types.uint64), codegen
+    return types.UniTuple(types.uint64, 2)(types.uint64, types.uint64), codegen
 
 
 @nb.njit(error_model="numpy", forceinline=True)
 def philox_block(k0, k1, c0, c1, c2, c3):
     """The four words that key (k0, k1) gives to counter (c0, c1, c2, c3)."""
     for _ in range(10):
-        h0, l0 = _multiply_high(_M0, c0), _M0 * c0
-        h1, l1 = _multiply_high(_M1, c2), _M1 * c2
+        h0, l0 = _multiply(_M0, c0)
+        h1, l1 = _multiply(_M1, c2)
         c0, c1, c2, c3 = h1 ^ c1 ^ k0, l1, h0 ^ c3 ^ k1, l0
         k0 += _W0
         k1 += _W1

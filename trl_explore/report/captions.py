@@ -7,7 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from trl_explore.analysis.outcomes import Outcomes
-from trl_explore.analysis.power import POWER, detectable_difference, trials_for_difference
+from trl_explore.analysis.power import (
+    POWER,
+    detectable_difference,
+    fewest_pairs,
+    trials_for_difference,
+)
 from trl_explore.report import drawing
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures.axes import number
@@ -120,13 +125,21 @@ def power(e: GroupEvidence) -> str:
     low, high = (
         float(detectable_difference(f([p.sd for p in pairs]), n, level=level)) for f in (min, max)
     )
+    if n < (fewest := fewest_pairs(level)):
+        found = (
+            f"{n:,} trials per configuration find no difference, however large, after correction"
+            f" for {len(e.comparisons)} pairs; that needs {fewest}."
+        )
+    else:
+        found = (
+            f"With {n:,} trials per configuration, a difference of {low:,.0f} (the pair that"
+            f" varies least) to {high:,.0f} iterations (the one that varies most) is found with"
+            f" {100 * POWER:g} % power after correction for {len(e.comparisons)} pairs."
+        )
     return (
-        f"With {n:,} trials per configuration, a difference of {low:,.0f} (the pair that varies"
-        f" least) to {high:,.0f} iterations (the one that varies most) is found with"
-        f" {100 * POWER:g} % power after correction for {len(e.comparisons)} pairs. Each point is a"
-        " pair: its observed difference, and how many trials would find it. Points right of the"
-        " dashed line need more trials than there were. Band: from the least to the most varying"
-        f" pair.{_unsettled(pairs, level)}"
+        f"{found} Each point is a pair: its observed difference, and how many trials would find"
+        " it. Points right of the dashed line need more trials than there were. Band: from the"
+        f" least to the most varying pair.{_unsettled(pairs, level)}"
     )
 
 

@@ -16,6 +16,7 @@ from trl_explore.analysis.effects import option_sentences, plane_sentences
 from trl_explore.analysis.estimates import LEVEL
 from trl_explore.analysis.outcomes import Outcomes
 from trl_explore.analysis.pairing import SharedTrials, shared_trials
+from trl_explore.analysis.power import fewest_pairs
 from trl_explore.analysis.summary import Summary, summarise_all
 from trl_explore.report.curves import Traces, read_traces
 from trl_explore.report.figures import learning
@@ -153,7 +154,10 @@ def _group_evidence(
         ),
         comparisons=comparisons,
         incomparable=incomparable,
-        sentences=tuple(map(readable, _sentences(group, comparisons, level))),
+        sentences=(
+            *map(readable, _sentences(group, comparisons, level)),
+            *(_cut_short(group) or _too_few(comparisons)),
+        ),
         traces=traces,
         level=level,
         resamples=resamples,
@@ -167,6 +171,33 @@ def _planned(group: Group) -> list[tuple[Outcomes, Outcomes]] | None:
         return None
     by_name = {c.name: c for c in group.configurations}
     return [(by_name[a], by_name[b]) for a, b in layout.pairs()]
+
+
+def _too_few(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
+    """A warning where no difference could be told apart, however large it is; else nothing."""
+    paired = [c for c in comparisons if c.design == "paired"]
+    if not paired or len(paired) < len(comparisons):
+        return ()
+    n, tests = max(c.n_a for c in paired), len(paired)
+    fewest = fewest_pairs(1.0 - (1.0 - paired[0].difference.level) / tests)
+    if n >= fewest:
+        return ()
+    corrected = f", corrected for {tests} comparisons," if tests > 1 else ""
+    return (
+        f"That says nothing of their size: {n} trials are too few to tell any two configurations"
+        f" apart. The test{corrected} needs at least {fewest} trials of each, even of differences"
+        " that are the same in every trial.",
+    )
+
+
+def _cut_short(group: Group) -> tuple[str, ...]:
+    """A warning where the cap ends every trial before its first full window; else nothing."""
+    if not all(c.cut_short for c in group.configurations):
+        return ()
+    return (
+        f"No trial could pass: the cap of {group.cap:,} iterations ends it before it has the"
+        f" {group.window:,} episodes over which its score is taken.",
+    )
 
 
 def _sentences(group: Group, comparisons: Sequence[Comparison], level: float) -> tuple[str, ...]:

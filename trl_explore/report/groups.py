@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from trl_explore.analysis.outcomes import Outcomes
@@ -82,17 +82,29 @@ class Group:
 
 def group_jobs(jobs: Sequence[Job]) -> list[Group]:
     """Split jobs into groups: the thesis's experiment first, its grids last."""
-    by_rule: dict[tuple[str, int, float, int, str], list[Job]] = {}
+    by_rule: dict[tuple[str, int, float, int, str, str], list[Job]] = {}
     for job in jobs:
         o = job.outcomes
-        rule = (o.experiment, o.cap, o.threshold, o.window, _environment(o))
+        rule = (o.experiment, o.cap, o.threshold, o.window, _environment(o), o.judged_by)
         by_rule.setdefault(rule, []).append(job)
     order = sorted(by_rule, key=lambda rule: (_rank(rule[0]), *map(str, rule)))
     ids = [_id(rule[0]) for rule in order]
-    return [
+    groups = [
         _group(f"{name}-{k}" if ids.count(name) > 1 else name, by_rule[rule])
         for k, (name, rule) in enumerate(zip(ids, order, strict=True), start=1)
     ]
+    tells: list[Callable[[Group], str]] = [
+        lambda g: g.environment,
+        lambda g: f"cap {g.cap:,}",
+        lambda g: g.configurations[0].judged_by,
+    ]
+    for tell in tells:
+        titles = [g.title for g in groups]
+        groups = [
+            replace(g, title=f"{g.title}, {tell(g)}") if titles.count(g.title) > 1 else g
+            for g in groups
+        ]
+    return groups
 
 
 def _id(experiment: str) -> str:

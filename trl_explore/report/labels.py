@@ -8,7 +8,7 @@ from typing import Any
 
 from trl_explore.analysis.choices import NAMES, choice_name
 from trl_explore.analysis.outcomes import Outcomes
-from trl_explore.analysis.pairing import AGENT_GROUPS, STOPPING
+from trl_explore.analysis.pairing import AGENT_GROUPS, NO_AGENT
 
 STRATEGIES = {
     "random": "random",
@@ -24,6 +24,11 @@ STRATEGIES = {
     "vdbe": "VDBE",
     "count_bonus": "count bonus",
     "parameter_noise": "parameter noise",
+    "gaussian": "Gaussian",
+    "epsilon_uniform": "ε-uniform",
+    "uniform_action": "uniform action",
+    "mean_action": "mean action",
+    "epsilon_mean": "ε-mean",
 }
 SYMBOLS = {
     "epsilon": "ε", "decay": "decay rate", "temperature": "T", "sigma": "σ", "delta": "δ",
@@ -197,7 +202,7 @@ def _flat(c: Outcomes) -> dict[str, Any]:
     walk("", c.parameters)
     for group in AGENT_GROUPS:
         walk(group, c.config.get(group, {}))
-    stopping = {f"env.{key}" for key in STOPPING}
+    stopping = {f"env.{key}" for key in NO_AGENT}
     return {k: v for k, v in flat.items() if not k.endswith("_partial_") and k not in stopping}
 
 

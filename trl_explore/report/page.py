@@ -149,8 +149,12 @@ def _why(content: Content, hero: Drawn | None) -> str:
         for figure in content.figures[part.group.id]
         if figure.kind in why.FIGURES and figure is not hero
     ]
+    effects, distances = (
+        "".join(_figure(f) for f in shown if (f.kind == why.EFFECTS) is first)
+        for first in (True, False)
+    )
     tables = [table.to_html() for table in content.why]
-    return why.why_section(content.evidence, "".join(map(_figure, shown)), tables)
+    return why.why_section(content.evidence, effects, distances, tables)
 
 
 def _group(part: GroupEvidence, content: Content, hero: Drawn | None) -> str:

@@ -23,16 +23,25 @@ STRATEGIES = {
     "vdbe": "ε-greedy with an ε that follows how much the mean score still changes",
     "count_bonus": "softmax that prefers what has been tried less often in a state",
     "parameter_noise": "softmax of a policy whose weights are perturbed once per episode",
+    "gaussian": "actions are drawn from the Gaussian that the policy gives",
+    "epsilon_uniform": "with probability ε any action of the box, else one by the Gaussian",
+    "uniform_action": "any action of the box, drawn uniformly; nothing that was learned is used",
+    "mean_action": "always the mean of the policy’s Gaussian; never explores",
+    "epsilon_mean": "with probability ε any action of the box, else the mean",
 }
 
 
 def question(evidence: Evidence) -> str:
     """What was asked, and the words that a reader needs."""
     main = evidence.groups[0].group
+    environments = dict.fromkeys(part.group.environment for part in evidence.groups)
+    others = [name for name in environments if name != main.environment]
+    elsewhere = f" (in sections of their own {escape(', '.join(others))})" if others else ""
     names = list(dict.fromkeys(o.strategy for o in evidence.outcomes))
     known = [n for n in STRATEGIES if n in names] + [n for n in names if n not in STRATEGIES]
     factors = [part.group.crossed.of for part in evidence.groups if part.group.crossed is not None]
-    also = "".join(f" and, where it says so, their {name}" for name in dict.fromkeys(factors))
+    names = " or ".join(f"their {name}" for name in dict.fromkeys(factors))
+    also = f" and, where it says so, {names}" if names else ""
     items = "".join(
         f"<li><b>{escape(strategy_label(n))}</b>"
         f"{': ' + escape(STRATEGIES[n]) if n in STRATEGIES else ''}</li>"
@@ -42,9 +51,10 @@ def question(evidence: Evidence) -> str:
         "<p>An agent that learns from reward must also try actions that it does not yet prefer."
         " How it does that is its <b>exploration strategy</b>. What does the choice of it do to"
         " how surely, and how fast, a policy-gradient agent learns?</p>"
-        f"<p>Here many independent agents (<b>trials</b>) learned {escape(main.environment)} with"
-        f" REINFORCE, all alike except for their strategy{also}. One <b>iteration</b> is one"
-        " episode and the update that follows it. A trial has <b>converged</b>, or passed, when its"
+        f"<p>Here many independent agents (<b>trials</b>) learned {escape(main.environment)}"
+        f"{elsewhere} with REINFORCE, all alike except for their strategy{also}. One"
+        " <b>iteration</b> is one episode and the update that follows it. A trial has"
+        " <b>converged</b>, or passed, when its"
         f" mean score over the last {main.window} episodes exceeds {main.threshold:g}; a trial"
         f" that has not after {main.cap:,} iterations is stopped at this <b>cap</b>. The"
         f" strategies:</p><ul>{items}</ul>"
@@ -68,7 +78,7 @@ def method(evidence: Evidence) -> str:
         " table; two configurations are told apart only where interval and corrected test both"
         " exclude zero. The log-rank test, which ignores the pairs, stands beside it as a second"
         " opinion. “Variance kept by pairing” below 1 says that pairing helped. Configurations"
-        " with different caps or thresholds are never compared. Where strategies are crossed with"
+        " stopped by different rules are never compared. Where strategies are crossed with"
         " options (corrections, baselines, policies), only the pairs that were asked about are"
         " tested and corrected for: each option against the first, strategy by strategy; on a map,"
         " each point against the thesis’s softmax.</p>"
@@ -141,9 +151,11 @@ def group_facts(group: Group) -> str:
     trials = f"{counts[0]:,}" if len(counts) == 1 else f"{counts[0]:,} to {counts[-1]:,}"
     n = len(group.configurations)
     what = "1 configuration" if n == 1 else f"{n} configurations"
+    judged_by = group.configurations[0].judged_by
+    whose = "" if judged_by == "training" else f" of {escape(judged_by)}"
     return (
         f"{what} × {trials} trials of {escape(group.environment)}, passed above"
-        f" {group.threshold:g} over {group.window} episodes, cap {group.cap:,} iterations."
+        f" {group.threshold:g} over {group.window} episodes{whose}, cap {group.cap:,} iterations."
     )
 
 

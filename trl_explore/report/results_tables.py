@@ -61,7 +61,7 @@ def comparison_table(evidence: GroupEvidence) -> Table:
     columns = [
         Column("a", f"first{by}", lambda r: short[r["a"]]),
         Column("b", f"second{by}", lambda r: short[r["b"]]),
-        Column("winner", "faster", lambda r: short.get(r["winner"], "may be chance")),
+        Column("winner", "faster", lambda r: short.get(r["winner"], _undecided(r))),
         Column("difference", "first − second, iterations", _interval("difference", _count), True),
         Column("p_holm", "p (Holm)", lambda r: _p(r["p_holm"]), True),
         Column("p_logrank", "p (log-rank)", lambda r: _p(r["p_logrank"]), True),
@@ -170,6 +170,12 @@ def _seconds(r: Record) -> str:
     return f"{r['seconds_mean']:.3g}\n{r['timed']} timed" if r["timed"] else "–"
 
 
+def _undecided(r: Record) -> str:
+    if r["sd"] == 0 and r["difference"] == 0:  # trial by trial
+        return "neither passes" if r["mean_a"] == r["cap"] else "the very same"
+    return "may be chance"
+
+
 def _needed(r: Record) -> str:
     return "–" if r["trials_needed"] is None else f"{r['trials_needed']:,}"
 
@@ -179,7 +185,7 @@ def _count(x: float) -> str:
 
 
 def _one(x: float) -> str:
-    return f"{x:.1f}"
+    return f"{x:.1f}".replace("-", "−")
 
 
 def _percent(x: float) -> str:

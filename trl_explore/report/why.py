@@ -15,8 +15,9 @@ from trl_explore.report.labels import readable
 from trl_explore.report.layout_captions import level
 from trl_explore.report.tables import Column, Record, Table
 
-FIGURES = ("effects", "kl", "effective_sample_size", "ratio_mean")
-"""Kinds of figures that this section shows."""
+EFFECTS = "effects"
+FIGURES = (EFFECTS, "kl", "effective_sample_size", "ratio_mean")
+"""Kinds of figures that this section shows: what corrections do, and how far μ was from π."""
 CSS = {
     "survives": "holds",
     "becomes true": "holds",
@@ -72,12 +73,13 @@ def why_tables(evidence: Evidence) -> list[Table]:
     ]
 
 
-def why_section(evidence: Evidence, figures: str, tables: Sequence[str]) -> str:
+def why_section(evidence: Evidence, effects: str, distances: str, tables: Sequence[str]) -> str:
     """The section as HTML.
 
     Args:
         evidence: of the report.
-        figures: drawn, as HTML.
+        effects: figures of what the corrections do, as HTML.
+        distances: figures of how far μ was from π, as HTML; empty where that was not recorded.
         tables: of :func:`why_tables`, as HTML.
 
     """
@@ -89,15 +91,24 @@ def why_section(evidence: Evidence, figures: str, tables: Sequence[str]) -> str:
         for o in CSS
         if o in counts
     )
+    far = (
+        f'<h3>How far μ was from π</h3><p class="prose">{escape(_distance(evidence))}</p>'
+        f"{_figures(distances)}"
+        if distances
+        else ""
+    )
     return (
         '<section id="why"><h2>Why: the bias, and the exploration</h2>'
         f'<div class="prose">{TEXT}</div><h3>Which conclusions survive</h3>'
         '<p class="prose">Each statement is decided twice by the same test, with the same trials:'
         " once as the thesis did it, once with the per-step ratio. It <i>survives</i> where it"
         f' holds both times.</p><ul class="tally">{tally}</ul>{"".join(tables)}'
-        f'<h3>How far μ was from π</h3><p class="prose">{escape(_distance(evidence))}</p>'
-        f'<div class="figures">{figures}</div></section>'
+        f"{_figures(effects)}{far}</section>"
     )
+
+
+def _figures(drawn: str) -> str:
+    return f'<div class="figures">{drawn}</div>' if drawn else ""
 
 
 def _distance(evidence: Evidence) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -39,6 +40,8 @@ class Strategy(BaseStrategy):
         differentiable: whether ``probs`` is differentiable in the logits, in every iteration.
         noise_size: how many uniform numbers it uses for each frame; where more than one, "noise"
             is [*batch, noise_size].
+        episodic: whether μ changes with every episode, so that behind an iteration of several
+            episodes ``preferences`` and ``probs`` are those of the last one only.
 
     Args:
         spec: the action spec (``Categorical`` or ``OneHot``, also in a ``Composite``); None means
@@ -53,6 +56,7 @@ class Strategy(BaseStrategy):
     """
 
     actions = "discrete"
+    episodic: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -86,7 +90,12 @@ class Strategy(BaseStrategy):
         """The strategy that takes the first action of largest logit."""
         from trl_explore.strategies.argmax import Argmax
 
-        return Argmax()
+        return Argmax(
+            spec=self.spec,
+            logits_key=self.logits_key,
+            action_key=self.action_key,
+            action_mask_key=self.action_mask_key,
+        )
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw "action" from μ and write "action_log_prob"."""

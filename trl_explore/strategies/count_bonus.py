@@ -14,7 +14,8 @@ from torch import Tensor
 from trl_explore.checks import check_integer
 from trl_explore.ops import lane_linear
 from trl_explore.schedules import Schedule, as_schedule
-from trl_explore.strategies.mixture import Mixture, MixtureStrategy, check_trials, rows
+from trl_explore.strategies.common import check_trials
+from trl_explore.strategies.mixture import Mixture, MixtureStrategy, rows
 from trl_explore.streams import Stream, generator
 
 

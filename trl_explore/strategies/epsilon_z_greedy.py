@@ -15,7 +15,8 @@ from torch import Tensor
 from trl_explore.checks import check_integer, check_number
 from trl_explore.schedules import Schedule, as_schedule
 from trl_explore.strategies.base import Strategy, inverse_cdf
-from trl_explore.strategies.mixture import Mixture, check_trials, mixture_probs, rows
+from trl_explore.strategies.common import check_trials
+from trl_explore.strategies.mixture import Mixture, mixture_probs, rows
 
 
 class EpsilonZGreedy(Strategy):

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from trl_explore.schedules import Value
 from trl_explore.strategies.base import Strategy
-from trl_explore.strategies.common import check_trials, rows
+from trl_explore.strategies.common import rows
 
 
 class Mixture(NamedTuple):
@@ -49,7 +49,30 @@ class MixtureStrategy(Strategy):
     ) -> None:
         """Learn whom the strategy serves."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        check_trials(trials, *self.mixture())
+        self.checked_mixture(trials)
+
+    def checked_mixture(self, trials: int) -> Mixture:
+        """The mixture of the current iteration, for so many trials.
+
+        Raises:
+            ValueError: if an entry has one value per trial, but not for all, or the weights are
+                negative or do not sum to 1.
+        """
+        point = self.mixture()
+        for name, value in zip(Mixture._fields, point, strict=True):
+            if not isinstance(value, float) and np.shape(value) not in ((), (trials,)):
+                raise ValueError(
+                    f"{name} has {np.size(value)} values, but there are {trials} trials"
+                )
+        weights = point[:3]
+        negative = any([w < 0 if isinstance(w, float) else np.any(w < 0) for w in weights])  # noqa: C419 - faster
+        error = abs(sum(weights) - 1.0)
+        if negative or not (error <= 1e-6 if isinstance(error, float) else np.all(error <= 1e-6)):
+            raise ValueError(
+                f"{type(self).__name__}: the weights of a mixture must be >= 0 and sum to 1, got "
+                f"{point.greedy}, {point.softmax} and {point.uniform}"
+            )
+        return point
 
     def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
         """The parameters with which the policy's logits are the strategy's ``preferences``.

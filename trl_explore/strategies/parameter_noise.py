@@ -16,7 +16,8 @@ from torch.func import functional_call
 from trl_explore.checks import check_number
 from trl_explore.ops import lane_sum
 from trl_explore.schedules import Schedule, as_schedule
-from trl_explore.strategies.mixture import Mixture, MixtureStrategy, check_trials
+from trl_explore.strategies.common import check_trials
+from trl_explore.strategies.mixture import Mixture, MixtureStrategy
 from trl_explore.streams import Stream, generator
 
 Parameters = dict[str, Tensor]
@@ -52,6 +53,8 @@ class ParameterNoise(MixtureStrategy):
     Raises:
         ValueError: if an argument is out of range, or the policy's parameters are of another form.
     """
+
+    episodic = True
 
     def __init__(
         self,

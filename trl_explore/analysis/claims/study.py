@@ -66,7 +66,8 @@ class Study:
     """All configurations that were measured, by experiment.
 
     A job counts for a claim only under the conditions of the thesis (cap, threshold, window,
-    environment, the strategy's parameters); others are ``not measured``, with the reason.
+    stopped by training scores, environment, the strategy's parameters); others are ``not
+    measured``, with the reason.
 
     Attributes:
         outcomes: one entry per job, of any experiments.
@@ -236,6 +237,7 @@ def _check_conditions(job: Outcomes) -> None:
         ("cap", job.cap, CAPS.get(job.experiment, job.cap)),
         ("threshold", job.threshold, THRESHOLD),
         ("window", job.window, WINDOW),
+        ("stopping scores", job.judged_by, "training"),
     ]
     env = job.config.get("env")
     if isinstance(env, Mapping) and "id" in env:

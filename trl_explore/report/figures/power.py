@@ -9,7 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from trl_explore.analysis.power import POWER, detectable_difference, trials_for_difference
+from trl_explore.analysis.power import (
+    POWER,
+    detectable_difference,
+    fewest_pairs,
+    trials_for_difference,
+)
 from trl_explore.report.figures.axes import legend_above, plain_numbers
 from trl_explore.report.style import INK, MUTED
 
@@ -32,8 +37,9 @@ def plot_power(
     """Draw the smallest difference found with 80 % power by the number of trials.
 
     The line is the pair of median spread, the band reaches from the pair of smallest to that of
-    largest spread. Each pair is a point at the difference that was observed and the number of
-    trials that would find it with that power: left of the vertical line there were enough.
+    largest spread; both begin where a permutation test can find anything. Each pair is a point at
+    the difference that was observed and the number of trials that would find it with that power:
+    left of the vertical line there were enough.
 
     Args:
         ax: empty axes.
@@ -47,7 +53,7 @@ def plot_power(
     needed = [trials_for_difference(p.sd, p.difference, level=level) for p in known]
     shown = [(n, p) for n, p in zip(needed, known, strict=True) if n is not None and n <= 1e6]
     right = max([10 * trials, 1000, *(2 * n for n, _ in shown)])
-    n = np.geomspace(1.6, right, 60)
+    n = np.geomspace(fewest_pairs(level), right, 60)
     low, middle, high = np.quantile([p.sd for p in known], [0.0, 0.5, 1.0])
     curves = [detectable_difference(sd, n, level=level) for sd in (low, middle, high)]
     ax.fill_between(n, curves[0], curves[2], color=COLOR, alpha=0.15, lw=0)

@@ -87,7 +87,9 @@ class ContinuousStrategy(BaseStrategy):
         """The strategy that takes the mean."""
         from trl_explore.strategies.continuous.mean_action import MeanAction
 
-        return MeanAction()
+        return MeanAction(
+            loc_key=self.loc_key, scale_key=self.scale_key, action_key=self.action_key
+        )
 
     @abstractmethod
     def draw(self, loc: Tensor, scale: Tensor, noise: Tensor, trial: Tensor | None) -> Tensor:
