@@ -53,21 +53,25 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
             for k in range(n_features):
                 x[k, f] = observation[start + f, k] if f < size else zero
 
+    # Groups are whole, because what is left over of a loop is taken number by number.
+
     @kernel_function
-    def logits(difference, x, d, size):
-        for f in range(size):
+    def logits(difference, x, d, groups):
+        for f in range(WIDTH * groups):
             logit = difference[0] * x[0, f]
             for k in range(1, n_features):
                 logit += difference[k] * x[k, f]
             d[f] = logit
 
     @kernel_function
-    def log_probs(d, cost, share, size):
+    def log_probs(d, cost, share, groups):
         """Writes −log π(chosen), and multiplies the share with π(other)."""
-        for f in range(size):
-            small = exponential(-abs(d[f]))  # never overflows
-            cost[f] = logarithm(small) + (d[f] if d[f] > zero else zero)
-            share[f] *= (small if d[f] < zero else one) / (one + small)
+        for place in range(0, WIDTH * groups, WIDTH):
+            for j in range(WIDTH):
+                f = place + j
+                small = exponential(-abs(d[f]))  # never overflows
+                cost[f] = logarithm(small) + (d[f] if d[f] > zero else zero)
+                share[f] *= (small if d[f] < zero else one) / (one + small)
 
     modules = (borrow_module, exponential_module, returns, runs, vectors)
 
@@ -108,9 +112,9 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
                 size = min(BLOCK, end - start)
                 groups = (size + WIDTH - 1) // WIDTH
                 read(observation, start, size, x)
-                logits(difference, x, d, size)
+                logits(difference, x, d, groups)
                 for f in range(size, WIDTH * groups):  # counts nothing
-                    cost[f] = share[f] = factor[f] = zero
+                    d[f] = share[f] = factor[f] = zero
                 chosen_of = action[start : start + size]
                 factor_of = given[start - shift : start - shift + size]
                 for f in range(size):
@@ -119,7 +123,7 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
                     factor[f] = factor_of[f]
                     share[f] = factor[f] if chosen != 0 else -factor[f]
                     d[f] = -d[f] if chosen != 0 else d[f]
-                log_probs(d, cost, share, size)
+                log_probs(d, cost, share, groups)
                 value -= dot(factor, cost, groups)
                 for k in range(n_features):
                     slope[k] += dot(share, x[k], groups)
