@@ -53,7 +53,11 @@ def fits(first: Tensor, *others: Tensor) -> bool:
 
 
 def by_trial(
-    kernel: Callable[..., bool], frames: Sequence[NDArray[Any]], shared: Sequence[Any]
+    kernel: Callable[..., bool],
+    frames: Sequence[NDArray[Any]],
+    shared: Sequence[Any],
+    *,
+    ordered: bool = False,
 ) -> bool:
     """Call ``kernel(*frames, *shared)``, on large data in several threads at once.
 
@@ -64,21 +68,27 @@ def by_trial(
         kernel: compiled, releasing the interpreter's lock; returns whether the data are valid.
         frames: arrays [frames, ...]; the last one is the trial of each frame.
         shared: further arguments, the same for every thread.
+        ordered: whether data are valid only where the trials ascend, and the kernel looks.
 
     Returns:
         Whether every call found its data valid.
     """
     trial, threads = frames[-1], _threads
-    if threads == 1 or len(trial) < MIN_FRAMES or not _ascending(trial):
+    if threads == 1 or len(trial) < MIN_FRAMES or not (ordered or _ascending(trial)):
         return kernel(*frames, *shared)
     cuts = [len(trial) * j // threads for j in range(1, threads)]
     edges = [0, *(int(np.searchsorted(trial, trial[cut])) for cut in cuts), len(trial)]
+    parts = [(low, high) for low, high in pairwise(edges) if high > low]
+    if any(trial[before - 1] >= trial[low] for (_, before), (low, _) in pairwise(parts)):
+        return kernel(*frames, *shared)  # no order to cut by
     calls = [
         pool().submit(kernel, *(array[low:high] for array in frames), *shared)
-        for low, high in pairwise(edges)
+        for low, high in parts[1:]
     ]
+    low, high = parts[0]
+    first = kernel(*(array[low:high] for array in frames), *shared)
     results = [call.result() for call in calls]  # wait for all, whatever the first one says
-    return all(results)
+    return first and all(results)
 
 
 @nb.njit(cache=True, nogil=True)

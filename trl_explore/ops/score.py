@@ -151,7 +151,7 @@ def _sums(
         shared = w, factors, gamma, total, gradient
     else:
         kernel, shared = score_kernel(w.shape, frames[0]), (w, factors, total, gradient)
-    if not by_trial(kernel, [*frames, trial], shared):
+    if not by_trial(kernel, [*frames, trial], shared, ordered=True):
         return None
     return torch.from_numpy(total), torch.from_numpy(gradient)
 
