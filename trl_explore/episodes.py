@@ -13,8 +13,10 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
 from trl_explore.compiled import compiled
-from trl_explore.ops import lane_sum, return_to_go, runs
-from trl_explore.ops.runs import end_of_episode
+from trl_explore.ops import lane_sum, return_to_go
+
+OUTCOMES = ("done", "step_count", "episode_reward")
+"""The entries of the next state that say how an episode came out."""
 
 
 class Episodes:
@@ -194,28 +196,21 @@ def outcomes(
         ValueError: if the data are not whole episodes.
     """
     after = data.get("next")
-    names = ("done", "step_count", "episode_reward")
-    found = _outcomes(*(entry(after, name).numpy().reshape(-1) for name in names))
-    if found is None:
+    done, steps, total = (entry(after, name).numpy().reshape(-1) for name in OUTCOMES)
+    last = np.flatnonzero(done)
+    frames = steps[last]
+    if not len(last) or last[-1] != len(done) - 1 or not _whole(last, frames):
         raise ValueError("the data are not whole episodes, each with its step_count from 1 on")
-    scores, frames = found
+    scores = total[last].astype(np.float64)
     if episodes_per_update == 1:
         return scores, frames
     return scores.reshape(-1, episodes_per_update), frames.reshape(-1, episodes_per_update)
 
 
-@compiled(runs)
-def _outcomes(done, step_count, episode_reward):
-    """Of flat columns; None if the last frame is not the end of an episode, or a count is wrong."""
-    frames, ends = len(done), 0
-    for i in range(frames):  # becomes vector instructions
-        ends += done[i]
-    scores, counts = np.empty(ends), np.empty(ends, dtype=np.int64)
-    start = 0
-    for j in range(ends):
-        end = end_of_episode(done, start, frames)
-        scores[j], counts[j] = episode_reward[end - 1], step_count[end - 1]
-        if counts[j] != end - start:
-            return None
-        start = end
-    return (scores, counts) if start == frames else None
+@compiled()
+def _whole(last, frames):
+    """Whether every episode has as many frames as its last one counts."""
+    wrong = last[0] + 1 - frames[0]
+    for i in range(1, len(last)):
+        wrong |= last[i] - last[i - 1] - frames[i]
+    return wrong == 0

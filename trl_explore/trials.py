@@ -15,8 +15,6 @@ from trl_explore.checks import check_integer, check_number
 from trl_explore.compiled import compiled
 from trl_explore.kernels import borrow as borrow_module
 from trl_explore.kernels.borrow import borrow
-from trl_explore.ops import vectors
-from trl_explore.ops.vectors import WIDTH, dot
 
 ACTIVE, CONVERGED, CAPPED, DIVERGED = "active", "converged", "capped", "diverged"
 STATUSES = (ACTIVE, CONVERGED, CAPPED, DIVERGED)
@@ -62,7 +60,9 @@ class Trials:
         self._episode_score = np.zeros(n)
         self._n_converged = 0
         self._n_episodes = 0
-        self._window = np.zeros((n, self.score_window))
+        self._window = np.zeros((self.score_window, n))
+        self._sum = np.zeros(n)
+        """Of the scores in the window, those to come being 0 [n]."""
         self._episodes: list[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]] = []
         self._curves: list[tuple[float, ...]] = []
 
@@ -212,34 +212,35 @@ class Trials:
         self._curves += [tuple(row) for row in columns["curves"].tolist()]
 
 
-_ROWS = ("iterations", "frames", "seconds", "score", "_episode_score", "_window")
-"""The arrays with one row for each trial."""
+_ROWS = ("iterations", "frames", "seconds", "score", "_episode_score", "_window", "_sum")
+"""What ``_enter`` changes, all with an entry for each trial."""
 
 
-@compiled(borrow_module, vectors)
+@compiled(borrow_module)
 def _enter(
     trial, scores, counts, first, filled, now, iterations, frames, seconds, score, episode_score,
-    window,
+    window, window_sum,
 ):  # fmt: skip
     """Enter the episodes [active, k] of an iteration in the rows; the highest of the scores."""
-    size, highest = window.shape[1], -np.inf
-    ones, window = np.ones(size), borrow(window)
+    size, highest = len(window), -np.inf
+    window = borrow(window)
     for j in range(len(trial)):
         row, total, steps = trial[j], 0.0, 0
         for e in range(scores.shape[1]):
-            window[row, (first + e) % size] = scores[j, e]
+            place = (first + e) % size
+            window_sum[row] += scores[j, e] - window[place, row]  # exact for whole numbers
+            window[place, row] = scores[j, e]
+            if place == size - 1:  # so that what is rounded does not pile up
+                window_sum[row] = 0.0
+                for f in range(size):
+                    window_sum[row] += window[f, row]
             total += scores[j, e]
             steps += counts[j, e]
         iterations[row] += 1
         frames[row] += steps
         seconds[row] = now
         episode_score[row] = total / scores.shape[1]
-        recent = window[row, :filled]
-        groups = filled // WIDTH
-        total = dot(recent, ones, groups)
-        for f in range(WIDTH * groups, filled):
-            total += recent[f]
-        score[row] = total / filled
+        score[row] = window_sum[row] / filled
         if score[row] > highest:
             highest = score[row]
     return highest

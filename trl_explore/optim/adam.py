@@ -101,12 +101,25 @@ class LaneAdam:
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _adam(active, p, m, v, gradient, beta1, beta2, eps, step_size, correction):
     numbers = np.array([1 - beta1, beta2, 1 - beta2, eps, step_size, correction]).astype(p.dtype)
+    p, m, v, gradient = p.reshape(-1), m.reshape(-1), v.reshape(-1), gradient.reshape(-1)
+    size_of_row = len(p) // len(active)
+    row = 0
+    while row < len(active):
+        end = row
+        while end < len(active) and active[end]:
+            end += 1
+        low, high = row * size_of_row, end * size_of_row
+        _advance(p[low:high], m[low:high], v[low:high], gradient[low:high], numbers)
+        row = end + 1
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _advance(p, m, v, gradient, numbers):
+    """A step of rows that follow each other."""
     gain1, keep2, gain2 = numbers[0], numbers[1], numbers[2]
     small, size, root = numbers[3], numbers[4], numbers[5]
-    for row in range(len(p)):
-        if active[row]:
-            for k in range(p.shape[1]):
-                g = gradient[row, k]
-                m[row, k] += gain1 * (g - m[row, k])
-                v[row, k] = v[row, k] * keep2 + gain2 * g * g
-                p[row, k] -= size * m[row, k] / (np.sqrt(v[row, k]) / root + small)
+    for i in range(len(p)):
+        g = gradient[i]
+        m[i] += gain1 * (g - m[i])
+        v[i] = v[i] * keep2 + gain2 * g * g
+        p[i] -= size * m[i] / (np.sqrt(v[i]) / root + small)
