@@ -11,13 +11,14 @@ from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch.optim import Adam
 
+from trl_explore.baselines import StepMean
 from trl_explore.config import CONF
 from trl_explore.config.kinds import options
 from trl_explore.episodes import outcomes
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.optim import LaneAdam, LaneOptimizer, torch_adam
 from trl_explore.policies import glorot_uniform
-from trl_explore.strategies import Argmax, DecayingEpsilonGreedy, EpsilonGreedy, Softmax
+from trl_explore.strategies import VDBE, Argmax, DecayingEpsilonGreedy, EpsilonGreedy, Softmax
 
 FILES = [CONF / "strategy" / f"{name}.yaml" for name in options("strategy", "discrete")]
 
@@ -61,6 +62,48 @@ def test_trials_that_stop_early_disturb_nobody(train):
         assert_same_trial(run(Softmax(), trials=1, first_trial=k), 0, batch, k)
     for k in range(9):
         assert_same_trial(tail, k, batch, k + 3)
+
+
+@pytest.mark.parametrize("loss", [{}, {"entropy_coeff": 0.1}, {"normalize_advantage": True}])
+def test_blocks_of_trials_change_nothing(build, loss):
+    """With and without autograd, while trials stop and blocks become fewer."""
+    options = {"max_iterations": 20, "score_window": 4, "score_threshold": 30.0}
+    make = partial(ReinforceLoss, **loss)
+    one, many = (build(Softmax(), 20, loss=make, **options) for _ in range(2))
+    collect, sizes = many.collector.collect, []
+    many.collector.block = 6
+
+    def watch(active):
+        sizes.append(np.count_nonzero(active))
+        return collect(active)
+
+    many.collector.collect = watch
+    one.run()
+    many.run()
+    assert sizes[:4] == [5, 5, 5, 5]
+    assert len(set(sizes)) > 2
+    assert max(sizes) <= 6
+    for k in range(20):
+        assert_same_trial(one, k, many, k)
+    assert one.trials.curves()["score"].tolist() == many.trials.curves()["score"].tolist()
+
+
+@pytest.mark.parametrize(
+    ("strategy", "loss"),
+    [(VDBE, ReinforceLoss), (Softmax, partial(ReinforceLoss, baseline=StepMean()))],
+)
+def test_who_learns_from_the_data_is_given_them_as_a_whole(build, strategy, loss):
+    trainer = build(strategy(), 8, max_iterations=2, loss=loss)
+    trainer.collector.block = 3
+    collect, sizes = trainer.collector.collect, []
+
+    def watch(active):
+        sizes.append(np.count_nonzero(active))
+        return collect(active)
+
+    trainer.collector.collect = watch
+    trainer.run()
+    assert sizes == [8, 8]
 
 
 def tensors(optimizer) -> list[torch.Tensor]:

@@ -62,7 +62,8 @@ class ReinforceLoss(LossModule):
             objective at γ < 1 (Sutton & Barto, §13.3; Nota & Thomas 2020).
         normalize_advantage: whether the A_t of a trial's iteration are scaled to mean 0 and
             standard deviation 1 (with no baseline and correction: its returns). Biased.
-        entropy_coeff: c >= 0; L_k also contains −w · c · Σ_t H(π(·|s_t)) (Williams & Peng 1991).
+        entropy_coeff: c >= 0; L_k also contains −w · c · Σ_t H(π(·|s_t)) (Williams & Peng 1991);
+            under ``correction=behaviour``, of μ.
         strategy: what the data are collected with; a correction may refuse it, or need it.
         trials: the number of trials; None takes the largest "trial" of the data plus one.
         reduction: of the trials' losses: "sum", "mean" or "none".
@@ -258,6 +259,11 @@ class ReinforceLoss(LossModule):
         out = flat.new_zeros(tensordict.shape)
         out[mask] = flat
         return out
+
+    @property
+    def divisible(self) -> bool:
+        """Whether some trials' losses need no others' data; a baseline that learns needs all."""
+        return self.trials is not None and type(self.baseline).step is Baseline.step
 
     def step(self, tensordict: TensorDictBase) -> None:
         """Let the baseline learn from an iteration's data: once, after the update."""

@@ -19,6 +19,8 @@ from trl_explore.checks import MAX_THREADS, check_integer
 MIN_FRAMES = 50_000
 """Below this number of frames, handing work to a thread costs more than it saves."""
 
+LEAD = 20_000
+"""How many frames the calling thread has treated before another one has woken up."""
 
 _threads = 1
 
@@ -76,7 +78,8 @@ def by_trial(
     trial, threads = frames[-1], _threads
     if threads == 1 or len(trial) < MIN_FRAMES or not (ordered or _ascending(trial)):
         return kernel(*frames, *shared)
-    cuts = [len(trial) * j // threads for j in range(1, threads)]
+    lead = min(LEAD, len(trial) // threads)
+    cuts = [lead + (len(trial) - lead) * j // threads for j in range(1, threads)]
     edges = [0, *(int(np.searchsorted(trial, trial[cut])) for cut in cuts), len(trial)]
     parts = [(low, high) for low, high in pairwise(edges) if high > low]
     if any(trial[before - 1] >= trial[low] for (_, before), (low, _) in pairwise(parts)):

@@ -16,6 +16,7 @@ from trl_explore.diagnostics import Diagnostics
 from trl_explore.episodes import outcomes
 from trl_explore.evaluation import Evaluator
 from trl_explore.optim import TrialOptimizer, Views, all_finite
+from trl_explore.strategies import BaseStrategy
 from trl_explore.trials import Trials
 
 
@@ -23,6 +24,8 @@ class TrialLoss(Protocol):
     """What the trainer needs of a loss."""
 
     reduction: str
+    divisible: bool
+    """Whether some trials' losses need no others' data, and ``step`` needs no data at all."""
 
     def backward(self, tensordict: TensorDictBase) -> torch.Tensor:
         """Add the gradients of all losses to those of the parameters; the loss of each trial."""
@@ -91,10 +94,6 @@ class Trainer:
         }
         self.parts: dict[str, Any] = {k: part for k, part in parts.items() if part is not None}
         """Everything with a state, by name: whatever joins the loop is entered here."""
-        if evaluator is not None:
-            self.parts["evaluator"] = evaluator
-        if diagnostics is not None:
-            self.parts["diagnostics"] = diagnostics
 
     def run(self) -> Trials:
         """Train until every trial has stopped."""
@@ -138,13 +137,45 @@ class Trainer:
 
     def _iterate(self, started: float) -> None:
         active = self.trials.active
-        data = self.collector.collect(active)
-        scores, frames = outcomes(data, self.collector.episodes_per_update)
-        trial_loss = self._update(data, active)
+        self.optimizer.zero_grad()
+        (scores, frames), trial_loss, data = self._learn(active)
+        if self.diagnostics is not None and data is not None:
+            self.diagnostics.record(data, active)
+        self.optimizer.step(torch.from_numpy(active))
+        if data is not None:
+            self.loss.step(data)
         self.collector.strategy.step(data)
         diverged = self._diverged(trial_loss, active)
         passed = self._evaluate(active)
         self.trials.record(scores, frames, diverged, time.perf_counter() - started, passed)
+
+    def _learn(
+        self, active: NDArray[np.bool_]
+    ) -> tuple[tuple[NDArray[Any], ...], torch.Tensor, TensorDictBase | None]:
+        """Collect, and form the gradients: outcomes, the loss of each trial, and the data.
+
+        Data of thousands of trials do not fit into the processor's cache. Where nobody needs them
+        as a whole, trials are taken block by block, and the data given away.
+        """
+        rows = np.flatnonzero(active)
+        count = -(-len(rows) // self.collector.block) if self._divisible() else 1
+        if count == 1:
+            data = self.collector.collect(active)
+            outcome = outcomes(data, self.collector.episodes_per_update)
+            return outcome, self.loss.backward(data), data
+        parts, trial_loss = [], torch.zeros(())
+        for block in np.array_split(rows, count):
+            some = np.zeros_like(active)
+            some[block] = True
+            data = self.collector.collect(some)
+            parts.append(outcomes(data, self.collector.episodes_per_update))
+            trial_loss = trial_loss + self.loss.backward(data)
+        return tuple(map(np.concatenate, zip(*parts, strict=True))), trial_loss, None
+
+    def _divisible(self) -> bool:
+        """Whether an iteration may be taken block by block."""
+        learns = type(self.collector.strategy).step is not BaseStrategy.step
+        return self.loss.divisible and self.diagnostics is None and not learns
 
     def _evaluate(self, active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
         """Evaluate if it is time to; who has passed by it [active], if that is what counts."""
@@ -157,15 +188,6 @@ class Trainer:
         if not self.stop_on_evaluation:
             return None
         return self.evaluator.passed(active) & due
-
-    def _update(self, data: TensorDictBase, active: NDArray[np.bool_]) -> torch.Tensor:
-        self.optimizer.zero_grad()
-        trial_loss = self.loss.backward(data)
-        if self.diagnostics is not None:
-            self.diagnostics.record(data, active)
-        self.optimizer.step(torch.from_numpy(active))
-        self.loss.step(data)
-        return trial_loss
 
     def _diverged(self, trial_loss: torch.Tensor, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether an active trial's loss or one of its weights is not finite [active]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from abc import abstractmethod
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -66,6 +67,9 @@ class EpisodeCollector(BaseCollector):
         >>> int(collector.collect()["next", "done"].sum())
         3
     """
+
+    block = sys.maxsize
+    """How many trials it is best to collect at once, if there are more."""
 
     def __init__(
         self,
