@@ -13,6 +13,7 @@ from torchrl.envs import RewardScaling
 from trl_explore.collectors import FusedCollector, NotCompilableError, auto_collector
 from trl_explore.collectors import fused as module
 from trl_explore.collectors.lanes import LANES
+from trl_explore.collectors.loop import compile_loop
 from trl_explore.collectors.networks import Network
 from trl_explore.collectors.scratch import Scratch, scratch
 from trl_explore.envs import make_env
@@ -170,6 +171,19 @@ def test_an_environment_of_ones_own():
         assert data["next", "terminated"].any()
     finally:
         gym.registry.pop("Corridor-v0")
+
+
+def test_code_on_disk_is_made_for_the_size_of_the_state():
+    """Code for a smaller state, whose functions are the same, would write beside it."""
+    network, functions = (
+        Network("linear", (2, 2)),
+        (corridor_reset, corridor_step, corridor_observe),
+    )
+    digests = [
+        compile_loop(Kernel(*functions, (9,), size, 2, 2), network)._cache.digest
+        for size in (1, 1, 5)
+    ]
+    assert digests[0] == digests[1] != digests[2]
 
 
 def test_what_does_not_fit_is_refused():

@@ -22,7 +22,6 @@ from typing import Any
 
 import numba as nb
 import numpy as np
-from numba.core.caching import FunctionCache
 
 from trl_explore import kernels, ops
 from trl_explore.collectors import lanes as lanes_module
@@ -45,6 +44,7 @@ from trl_explore.collectors.lanes import (
 from trl_explore.collectors.mixing import compile_mixing, load_point
 from trl_explore.collectors.networks import Network, compile_network
 from trl_explore.collectors.scratch import Scratch, compile_deliver, is_narrow, row_of
+from trl_explore.compiled import SourceCache
 from trl_explore.kernels import Kernel
 from trl_explore.kernels.base import kernel_function
 from trl_explore.kernels.borrow import borrow, lane, on_stack
@@ -59,19 +59,6 @@ SOURCES = (
     ),
 )
 """The files that are compiled into the loop, besides the kernel's own."""
-
-
-class _Cache(FunctionCache):
-    """numba's disk cache, with a key that knows the kernel that the loop was built around.
-
-    numba's own key of a closure changes with every process, and does not notice that another file
-    has changed; this one holds a hash of every file that is compiled into the loop.
-    """
-
-    digest = ""
-
-    def _index_key(self, sig: Any, codegen: Any) -> Any:
-        return sig, codegen.magic_tuple(), self.digest
 
 
 def compile_loop(
@@ -235,9 +222,9 @@ def _compile(  # noqa: C901 - the parts of one compiled function
         return done, place
 
     compiled = nb.njit(nogil=True, error_model="numpy")(loop)
-    cache = _Cache(loop)
+    cache = SourceCache(loop)
     inlined = [Path(file).read_bytes() for file in SOURCES]
-    parts = (*inlined, digest.encode(), repr((network, mask is not None)).encode())
+    parts = (*inlined, digest.encode(), repr((state_size, network, mask is not None)).encode())
     cache.digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
     compiled._cache = cache
     return compiled
