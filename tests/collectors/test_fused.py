@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -184,6 +186,21 @@ def test_code_on_disk_is_made_for_the_size_of_the_state():
         for size in (1, 1, 5)
     ]
     assert digests[0] == digests[1] != digests[2]
+
+
+def test_a_large_state_is_not_put_on_the_stack(monkeypatch):
+    """2.5 MB for 64 lanes took minutes to compile, and four times that have no place there."""
+
+    def large(env: Corridor) -> Kernel:
+        return replace(corridor(env), state_size=5000)
+
+    gym.register("Corridor-v0", entry_point=Corridor, max_episode_steps=20)
+    try:
+        small = build(make_env("Corridor-v0", trials=70)).collect()
+        monkeypatch.setitem(kernel_base._BUILDERS, Corridor, large)
+        assert (build(make_env("Corridor-v0", trials=70)).collect() == small).all()
+    finally:
+        gym.registry.pop("Corridor-v0")
 
 
 def test_what_does_not_fit_is_refused():
