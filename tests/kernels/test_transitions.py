@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import gymnasium as gym
@@ -16,6 +17,7 @@ from trl_explore.kernels import (
     check_kernel,
     kernel_function,
     kernel_of,
+    philox,
     tabular,
 )
 from trl_explore.kernels.base import _BUILDERS
@@ -233,6 +235,29 @@ def test_the_fingerprint_knows_every_file(tmp_path, monkeypatch):
 
     monkeypatch.setattr(base.Path, "read_text", changed)
     assert kernel.digest != before
+
+
+GRAVITY, TABLE = 9.8, np.arange(3.0)
+
+
+@kernel_function
+def falling(parameters, state, action, rng):
+    return GRAVITY * TABLE[0] * philox.to_unit(rng[0]), state[0] < philox.STATE_SIZE
+
+
+def test_the_fingerprint_knows_constants_and_modules(monkeypatch):
+    """Numba makes both part of the code, wherever they come from."""
+    kernel = Kernel(reset, falling, observe, (), state_size=1, n_features=1, n_actions=2)
+    digests = [kernel.digest]
+    for place, name, value in (
+        (sys.modules[__name__], "GRAVITY", 9.81),
+        (sys.modules[__name__], "TABLE", np.arange(1.0, 4.0)),
+        (philox, "STATE_SIZE", 12),
+        (philox, "to_unit", falling),
+    ):
+        monkeypatch.setattr(place, name, value)
+        digests.append(kernel.digest)
+    assert len(set(digests)) == 5
 
 
 def test_a_faulty_kernel_is_noticed(monkeypatch):

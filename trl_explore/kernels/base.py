@@ -11,9 +11,11 @@ from typing import Any
 
 import gymnasium as gym
 import numba as nb
+import numpy as np
 from numba.extending import is_jitted
 
 Function = Any
+_NUMBER = (str, int, float, np.generic)
 
 kernel_function = nb.njit(nogil=True, error_model="numpy", forceinline=True)
 """Decorator of a kernel's functions: compiled into the loop that calls them.
@@ -73,30 +75,40 @@ class Kernel:
 
     @property
     def digest(self) -> str:
-        """A fingerprint of all source files that the three functions are compiled from.
+        """A fingerprint of what the functions are compiled from: source files and constants.
 
         It decides which compiled code on disk may be used again.
         """
         functions = self.functions
         files: set[str] = set()
+        constants: set[str] = set()
         for function in functions:
-            _add_sources(function, files, set())
+            _add_sources(function, files, constants, set())
         names = [f"{f.py_func.__module__}.{f.py_func.__qualname__}" for f in functions]
-        parts = [*names, *(Path(file).read_text(encoding="utf-8") for file in sorted(files))]
-        return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+        sources = (Path(file).read_text(encoding="utf-8") for file in sorted(files))
+        return hashlib.sha256(
+            "\0".join((*names, *sources, *sorted(constants))).encode()
+        ).hexdigest()
 
 
-def _add_sources(function: Any, files: set[str], seen: set[int]) -> None:
-    """Add the file of a compiled function, and of those it calls, to ``files``."""
+def _add_sources(function: Any, files: set[str], constants: set[str], seen: set[int]) -> None:
+    """Add the files of a compiled function and of those it calls, and the constants they read."""
     if id(function) in seen:
         return
     seen.add(id(function))
     python = function.py_func
     files.add(inspect.getsourcefile(python) or "")
-    for name in python.__code__.co_names:
-        called = python.__globals__.get(name)
-        if is_jitted(called):
-            _add_sources(called, files, seen)
+    names = python.__code__.co_names
+    found = {name: python.__globals__[name] for name in names if name in python.__globals__}
+    for module in [value for value in found.values() if inspect.ismodule(value)]:
+        found |= {f"{module.__name__}.{n}": getattr(module, n) for n in names if hasattr(module, n)}
+    for name, value in found.items():
+        if is_jitted(value):
+            _add_sources(value, files, constants, seen)
+        elif isinstance(value, np.ndarray):
+            constants.add(f"{name}: {value.dtype} {value.shape} {value.tobytes().hex()}")
+        elif all(isinstance(v, _NUMBER) for v in (value if type(value) is tuple else [value])):
+            constants.add(f"{name}: {value!r}")
 
 
 _BUILDERS: dict[type[gym.Env], Callable[[Any], Kernel]] = {}
