@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Any
 
@@ -46,6 +46,20 @@ def pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(MAX_THREADS, thread_name_prefix="trl_explore")
 
 
+def together(calls: Sequence[Callable[[], Any]]) -> list[Any]:
+    """What the calls return, each on a thread of its own, the first one on the calling thread.
+
+    None is left running when one has failed or is interrupted: they write to memory that others
+    will use again.
+    """
+    others = [pool().submit(call) for call in calls[1:]]
+    try:
+        return [calls[0](), *[other.result() for other in others]]
+    except BaseException:
+        wait(others)
+        raise
+
+
 def fits(first: Tensor, *others: Tensor) -> bool:
     """Whether compiled code serves these tensors: on the CPU, all float32 or all float64."""
     dtype = first.dtype
@@ -84,14 +98,8 @@ def by_trial(
     parts = [(low, high) for low, high in pairwise(edges) if high > low]
     if any(trial[before - 1] >= trial[low] for (_, before), (low, _) in pairwise(parts)):
         return kernel(*frames, *shared)  # no order to cut by
-    calls = [
-        pool().submit(kernel, *(array[low:high] for array in frames), *shared)
-        for low, high in parts[1:]
-    ]
-    low, high = parts[0]
-    first = kernel(*(array[low:high] for array in frames), *shared)
-    results = [call.result() for call in calls]  # wait for all, whatever the first one says
-    return first and all(results)
+    calls = [partial(kernel, *(x[low:high] for x in frames), *shared) for low, high in parts]
+    return all(together(calls))
 
 
 @nb.njit(cache=True, nogil=True)

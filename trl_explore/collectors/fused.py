@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from itertools import pairwise
 from typing import Any, cast
 
@@ -35,7 +36,7 @@ from trl_explore.kernels import Kernel, kernel_of
 from trl_explore.policies.base import is_one_hot
 from trl_explore.strategies import BaseStrategy, MixtureStrategy, Strategy
 from trl_explore.streams import Stream, key
-from trl_explore.threads import pool
+from trl_explore.threads import together
 
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
 TRANSFORMS = (StepCounter, RewardSum)
@@ -146,13 +147,7 @@ class FusedCollector(EpisodeCollector):
         grow(parts, FIRST_FRAMES)
         left = parts
         while left:
-            calls = [
-                pool().submit(part.run, self._loop, self.kernel.parameters, context)
-                for part in left[1:]
-            ]
-            left[0].run(self._loop, self.kernel.parameters, context)
-            for call in calls:
-                call.result()
+            together([partial(p.run, self._loop, self.kernel.parameters, context) for p in left])
             left = [part for part in left if len(part.trials)]
             if left:
                 grow(parts)
