@@ -294,3 +294,24 @@ def test_a_group_of_the_compiled_adam_has_no_other_options():
         ValueError, match=r"^a group of parameters has 'params' and 'lr', got 'eps'"
     ):
         LaneAdam([{"params": [nn.Parameter(torch.zeros(2, 1))], "eps": 1e-3}])
+
+
+def test_adam_needs_an_entry_for_every_trial():
+    """One that is too short would be read beside, or move rows that it does not mean."""
+    weight = torch.nn.Parameter(torch.zeros(4, 2))
+    adam = LaneAdam([weight], lr=0.1)
+    weight.grad = torch.ones(4, 2)
+    for n in (1, 2, 5):
+        with pytest.raises(ValueError, match=rf"active is \[{n}\], but there are 4 trials"):
+            adam.step(torch.ones(n, dtype=torch.bool))
+    assert adam.steps == 0
+    assert not weight.any()
+
+
+def test_adam_takes_a_gradient_of_any_layout():
+    one, other = (torch.nn.Parameter(torch.zeros(4, 2)) for _ in range(2))
+    one.grad = torch.arange(8.0).reshape(2, 4).T
+    other.grad = one.grad.contiguous()
+    LaneAdam([one]).step()
+    LaneAdam([other]).step()
+    assert torch.equal(one, other)

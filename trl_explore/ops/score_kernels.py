@@ -29,7 +29,8 @@ def score_kernel(shape: tuple[int, ...], observation: NDArray[Any]) -> Callable[
     """The fastest for (observation, action, advantage, trial, weight, numbers, total, gradient).
 
     Sums are multiplied with the first of the numbers, after they have been rounded. Which of the
-    two kernels is chosen, by the data, changes no bit.
+    two kernels is chosen, by the data, changes no bit where the weights are finite; where they are
+    not, 0 times infinity is passed over by one of them.
 
     Args:
         shape: that of the weights.

@@ -66,17 +66,26 @@ class LaneAdam:
             parameter.grad = None
 
     def step(self, active: Tensor | None = None) -> None:
-        """One step of the trials in ``active`` [trials] bool; None moves all of them."""
+        """One step of the trials in ``active`` [trials] bool; None moves all of them.
+
+        Raises:
+            ValueError: if ``active`` has not an entry for each trial.
+        """
+        which = None if active is None else active.numpy()
+        if which is not None:
+            for parameter in self.parameters:
+                if len(which) != len(parameter):
+                    trials = len(parameter)
+                    raise ValueError(f"active is [{len(which)}], but there are {trials} trials")
         self.steps += 1
         correction1 = 1 - self.beta1**self.steps
         correction2 = 1 - self.beta2**self.steps
-        which = None if active is None else active.numpy()
         lanes = zip(self.parameters, self.rates, *(views() for views in self._views), strict=True)
         for parameter, lr, p, m, v in lanes:
             if parameter.grad is None:
                 continue
             rows = np.ones(len(p), dtype=np.bool_) if which is None else which
-            gradient = parameter.grad.reshape(p.shape).numpy()
+            gradient = parameter.grad.reshape(p.shape).contiguous().numpy()
             _adam(
                 rows, p, m, v, gradient, self.beta1, self.beta2, self.eps,
                 lr / correction1, correction2**0.5,
