@@ -46,7 +46,7 @@ BLOCK = 2048
 """Trials whose frames are better had at once than those of more."""
 LEAD = 8_000
 """How many frames a thread has run before another one has woken up."""
-FIRST_FRAMES = 64
+FIRST_FRAMES = 256
 """Frames of an episode that there is room for at first."""
 
 
