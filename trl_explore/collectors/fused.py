@@ -95,7 +95,7 @@ class FusedCollector(EpisodeCollector):
         self._scratches = [scratch(*sizes) for _ in range(threads)]
 
     def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
-        trials = np.flatnonzero(active)
+        (trials,) = active.nonzero()
         self.strategy.begin(active, self.episodes)
         episodes = self.episodes[trials]
         if self.episodes_per_update > 1:
