@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictSequential
 from torch import nn
 
 from trl_explore.actor import actor_of
-from trl_explore.collectors import FusedCollector
+from trl_explore.collectors import FusedCollector, NotCompilableError
 from trl_explore.config import CONF
 from trl_explore.config.kinds import options
 from trl_explore.envs import make_env
@@ -186,6 +186,40 @@ def test_a_changed_forward_is_not_passed_over(world):
     once = ReinforceLoss(actor_of(target), trials=TRIALS, functional=False).backward(data)
     twice = Twice(actor_of(target), trials=TRIALS, functional=False).backward(data)
     assert torch.equal(twice, 2 * once)
+
+
+def test_a_changed_policy_is_not_passed_over(world):
+    class Half(LinearPolicy):
+        def forward(self, tensordict, *args, **kwargs):
+            out = super().forward(tensordict, *args, **kwargs)
+            return out.set("logits", 0.5 * out["logits"])
+
+    env, _, _, data = world("CartPole-v1", "linear")
+    changed, hooked, plain = Half(env), LinearPolicy(env), LinearPolicy(env)
+    hooked.module.register_forward_hook(lambda module, given, logits: 0.5 * logits)
+    plain.weight.data.mul_(0.5)
+    expected = ReinforceLoss(actor_of(plain), trials=TRIALS).backward(data)
+    for policy in (changed, hooked):
+        torch.testing.assert_close(
+            ReinforceLoss(actor_of(policy), trials=TRIALS).backward(data), expected
+        )
+    with pytest.raises(NotCompilableError, match="the policy LinearPolicy is not known"):
+        FusedCollector(env, TensorDictSequential(hooked, Softmax()))
+
+
+def test_hooks_are_called(world):
+    env, _, _, data = world("CartPole-v1", "linear")
+    policy, calls = LinearPolicy(env), []
+    loss = ReinforceLoss(actor_of(policy), trials=TRIALS)
+    handle = policy.weight.register_hook(lambda gradient: 0 * gradient)
+    loss.backward(data)
+    assert not policy.weight.grad.any()
+    handle.remove()
+    loss.backward(data)
+    assert policy.weight.grad.any()
+    loss.register_forward_hook(lambda *args: calls.append(1))
+    loss.backward(data)
+    assert calls == [1]
 
 
 def test_replaced_weights_are_seen(world):

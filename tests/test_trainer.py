@@ -88,9 +88,22 @@ def test_blocks_of_trials_change_nothing(build, loss):
     assert one.trials.curves()["score"].tolist() == many.trials.curves()["score"].tolist()
 
 
+class LearningLoss(ReinforceLoss):
+    """Counts the frames it learns from."""
+
+    learned = 0
+
+    def step(self, tensordict):
+        self.learned += len(tensordict)
+
+
 @pytest.mark.parametrize(
     ("strategy", "loss"),
-    [(VDBE, ReinforceLoss), (Softmax, partial(ReinforceLoss, baseline=StepMean()))],
+    [
+        (VDBE, ReinforceLoss),
+        (Softmax, partial(ReinforceLoss, baseline=StepMean())),
+        (Softmax, LearningLoss),
+    ],
 )
 def test_who_learns_from_the_data_is_given_them_as_a_whole(build, strategy, loss):
     trainer = build(strategy(), 8, max_iterations=2, loss=loss)

@@ -24,7 +24,8 @@ from trl_explore.ops import (
     lane_sum,
     linear_softmax_score,
 )
-from trl_explore.policies import LinearPolicy
+from trl_explore.policies import LaneLinear, LinearPolicy
+from trl_explore.policies.base import has_hooks
 
 
 class SoftmaxCategorical(TorchCategorical):
@@ -227,7 +228,9 @@ def linear_weight(
     if not isinstance(actor, SoftmaxActor) or actor.masked or "action_mask" in tensordict:
         return None
     policy = actor[0]
-    if not isinstance(policy, LinearPolicy):
+    if not isinstance(policy, LinearPolicy) or type(policy).forward is not LinearPolicy.forward:
         return None
+    if type(policy.module) is not LaneLinear or policy.module.bias is not None or has_hooks(policy):
+        return None  # it is more than W x
     weight = policy.weight
     return weight if len(weight) == trials else None

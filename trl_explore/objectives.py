@@ -211,13 +211,16 @@ class ReinforceLoss(LossModule):
         """``backward`` where the gradient has a formula; None, and nothing is done, elsewhere."""
         if self.entropy_coeff or self.reduction == "mean":
             return None
-        if type(self).forward is not ReinforceLoss.forward:  # the loss is something else
+        hooked = self._forward_hooks or len(self._forward_pre_hooks) > 1  # one is LossModule's own
+        if hooked or type(self).forward is not ReinforceLoss.forward:  # the loss is something else
             return None
         episodes, _ = self._episodes(tensordict)
         frames, actor, baseline = episodes.tensordict, self.actor_network, self.baseline
         with self._with_parameters():
             weight = linear_weight(actor, frames, episodes.trials)
             if weight is None or not (weight.requires_grad and weight.is_leaf):
+                return None
+            if weight._backward_hooks or weight._post_accumulate_grad_hooks:
                 return None
             observation, action = frames.get("observation"), entry(frames, self.tensor_keys.action)
             if not serves(observation, weight, episodes.reward):
@@ -262,8 +265,9 @@ class ReinforceLoss(LossModule):
 
     @property
     def divisible(self) -> bool:
-        """Whether some trials' losses need no others' data; a baseline that learns needs all."""
-        return self.trials is not None and type(self.baseline).step is Baseline.step
+        """Whether some trials' losses need no others' data; what learns in ``step`` needs all."""
+        learns = type(self.baseline).step is not Baseline.step
+        return not (self.trials is None or learns or type(self).step is not ReinforceLoss.step)
 
     def step(self, tensordict: TensorDictBase) -> None:
         """Let the baseline learn from an iteration's data: once, after the update."""

@@ -24,8 +24,11 @@ class TrialLoss(Protocol):
     """What the trainer needs of a loss."""
 
     reduction: str
-    divisible: bool
-    """Whether some trials' losses need no others' data, and ``step`` needs no data at all."""
+
+    @property
+    def divisible(self) -> bool:
+        """Whether some trials' losses need no others' data, and ``step`` needs no data at all."""
+        ...
 
     def backward(self, tensordict: TensorDictBase) -> torch.Tensor:
         """Add the gradients of all losses to those of the parameters; the loss of each trial."""

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from torchrl.envs import RewardScaling
 from trl_explore.collectors import FusedCollector, NotCompilableError, auto_collector
 from trl_explore.collectors import fused as module
 from trl_explore.collectors.lanes import LANES
+from trl_explore.collectors.loop import compile_loop
 from trl_explore.collectors.networks import Network
 from trl_explore.collectors.scratch import Scratch, scratch
 from trl_explore.envs import make_env
@@ -172,6 +175,34 @@ def test_an_environment_of_ones_own():
             data = fused.collect()
             assert_same(data, reference.collect())
         assert data["next", "terminated"].any()
+    finally:
+        gym.registry.pop("Corridor-v0")
+
+
+def test_code_on_disk_is_made_for_the_size_of_the_state():
+    """Code for a smaller state, whose functions are the same, would write beside it."""
+    network, functions = (
+        Network("linear", (2, 2)),
+        (corridor_reset, corridor_step, corridor_observe),
+    )
+    digests = [
+        compile_loop(Kernel(*functions, (9,), size, 2, 2), network)._cache.digest
+        for size in (1, 1, 5)
+    ]
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_a_large_state_is_not_put_on_the_stack(monkeypatch):
+    """2.5 MB for 64 lanes took minutes to compile, and four times that have no place there."""
+
+    def large(env: Corridor) -> Kernel:
+        return replace(corridor(env), state_size=5000)
+
+    gym.register("Corridor-v0", entry_point=Corridor, max_episode_steps=20)
+    try:
+        small = build(make_env("Corridor-v0", trials=70)).collect()
+        monkeypatch.setitem(kernel_base._BUILDERS, Corridor, large)
+        assert (build(make_env("Corridor-v0", trials=70)).collect() == small).all()
     finally:
         gym.registry.pop("Corridor-v0")
 

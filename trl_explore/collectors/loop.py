@@ -216,7 +216,7 @@ def _compile(  # noqa: C901 - the parts of one compiled function
             done += n
         return done, place
 
-    return compiled(*INLINED, key=(network, mask is not None, digest))(loop)
+    return compiled(*INLINED, key=(state_size, network, mask is not None, digest))(loop)
 
 
 @part

@@ -18,6 +18,7 @@ from trl_explore.kernels.borrow import borrow
 from trl_explore.ops.activation import relu32, tanh32
 from trl_explore.ops.linear import WIDE, accumulate
 from trl_explore.policies import LaneLinear, LaneMLP, LinearPolicy, MLPPolicy, TabularPolicy
+from trl_explore.policies.base import has_hooks
 
 CACHE_BYTES = 1 << 15
 """The weights of a group of episodes should stay in the processor's first cache."""
@@ -77,6 +78,8 @@ def network_of(
         one_hot: whether observations are one-hot: W x is then a column of W.
     """
     module = cast(Any, getattr(policy, "module", None))
+    if has_hooks(policy):
+        return None
     if type(policy) in (LinearPolicy, TabularPolicy) and type(module) is LaneLinear:
         kind = "table" if one_hot else "linear"
         weight = cast(nn.Parameter, module.weight)

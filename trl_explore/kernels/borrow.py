@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numba as nb
+import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.errors import TypingError
 from numba.extending import intrinsic
+from numba.np.numpy_support import as_dtype
 
 
 @intrinsic
@@ -51,13 +54,19 @@ def lane(typingctx, array, j):
     return column(array, types.intp), codegen
 
 
+STACK_BYTES = 1 << 15
+"""Larger arrays are not for the stack, which ends somewhere; to compile them takes minutes."""
+
+
 def on_stack(dtype: types.Type, *shape: int) -> Any:
     """A compiled function that returns an array on the stack of the function that calls it.
 
     No other array overlaps it, and its sizes are constants: the compiler knows both, and turns
-    loops over it into vector instructions.
+    loops over it into vector instructions. One of more than ``STACK_BYTES`` is on the heap.
     """
-    array = types.Array(dtype, len(shape), "C")
+    array, item = types.Array(dtype, len(shape), "C"), as_dtype(dtype)
+    if item.itemsize * math.prod(shape) > STACK_BYTES:
+        return nb.njit(nogil=True)(lambda: np.zeros(shape, item))
 
     @intrinsic
     def make(typingctx):

@@ -1,8 +1,9 @@
-"""What a policy reads from the specs of its environment."""
+"""What a policy reads from the specs of its environment, and what it may be besides."""
 
 from __future__ import annotations
 
 import gymnasium as gym
+from torch import nn
 from torchrl.data import Bounded, Categorical, Unbounded
 from torchrl.envs import EnvBase
 
@@ -51,3 +52,9 @@ def observation_space(env: EnvBase) -> gym.Space:
 def is_one_hot(env: EnvBase) -> bool:
     """Whether the observations are one-hot states."""
     return isinstance(observation_space(env), gym.spaces.Discrete)
+
+
+def has_hooks(module: nn.Module) -> bool:
+    """Whether a call of the module, or of one in it, does more than its ``forward`` says."""
+    kinds = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
+    return any(getattr(part, kind) for part in module.modules() for kind in kinds)
