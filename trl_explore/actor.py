@@ -230,7 +230,8 @@ def linear_weight(
     policy = actor[0]
     if not isinstance(policy, LinearPolicy) or type(policy).forward is not LinearPolicy.forward:
         return None
-    if type(policy.module) is not LaneLinear or policy.module.bias is not None or has_hooks(policy):
+    module: Any = policy.module
+    if type(module) is not LaneLinear or module.bias is not None or has_hooks(policy):
         return None  # it is more than W x
     weight = policy.weight
     return weight if len(weight) == trials else None
