@@ -190,7 +190,8 @@ median speed over {plain_trials} trials of each strategy, {s.alone} different on
 {iteration(m)}
 
 Softmax, one thread, averaged over whole runs, in which ever fewer trials are active. *Optimiser* \
-includes the zeroing of gradients; *rest* is the loop, the schedules and the test for divergence.
+includes the zeroing of gradients, *loss* the gradient; *check* looks for numbers that are \
+not finite; *rest* is the loop and the schedules.
 
 ## Start-up
 

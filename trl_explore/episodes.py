@@ -197,7 +197,7 @@ def outcomes(
     """
     after = data.get("next")
     done, steps, total = (entry(after, name).numpy().reshape(-1) for name in OUTCOMES)
-    last = np.flatnonzero(done)
+    (last,) = done.nonzero()
     frames = steps[last]
     if not len(last) or last[-1] != len(done) - 1 or not _whole(last, frames):
         raise ValueError("the data are not whole episodes, each with its step_count from 1 on")

@@ -24,8 +24,11 @@ class TrialLoss(Protocol):
     """What the trainer needs of a loss."""
 
     reduction: str
-    divisible: bool
-    """Whether some trials' losses need no others' data, and ``step`` needs no data at all."""
+
+    @property
+    def divisible(self) -> bool:
+        """Whether some trials' losses need no others' data, and ``step`` needs no data at all."""
+        ...
 
     def backward(self, tensordict: TensorDictBase) -> torch.Tensor:
         """Add the gradients of all losses to those of the parameters; the loss of each trial."""
@@ -157,14 +160,13 @@ class Trainer:
         Data of thousands of trials do not fit into the processor's cache. Where nobody needs them
         as a whole, trials are taken block by block, and the data given away.
         """
-        rows = np.flatnonzero(active)
-        count = -(-len(rows) // self.collector.block) if self._divisible() else 1
+        count = -(-np.count_nonzero(active) // self.collector.block) if self._divisible() else 1
         if count == 1:
             data = self.collector.collect(active)
             outcome = outcomes(data, self.collector.episodes_per_update)
             return outcome, self.loss.backward(data), data
         parts, trial_loss = [], torch.zeros(())
-        for block in np.array_split(rows, count):
+        for block in np.array_split(np.flatnonzero(active), count):
             some = np.zeros_like(active)
             some[block] = True
             data = self.collector.collect(some)

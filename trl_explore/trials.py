@@ -93,7 +93,7 @@ class Trials:
             passed: whether the trial has converged, where something else than its training scores
                 decides that [active].
         """
-        trial = np.flatnonzero(self.active)
+        (trial,) = self.active.nonzero()
         self._episodes.append((trial, scores, frames))
         columns = scores.reshape(len(trial), -1)
         first, width = self._n_episodes, columns.shape[1]

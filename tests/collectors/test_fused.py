@@ -77,9 +77,12 @@ def test_auto_falls_back_and_says_why(caplog):
     assert caplog.messages[1:] == ["collector: fused"]
 
 
-@pytest.mark.parametrize("threads", [2, 3])
-def test_threads_change_nothing(threads, monkeypatch):
+@pytest.mark.parametrize("first_frames", [1, 256])
+@pytest.mark.parametrize("threads", [2, 3, 4])
+def test_threads_change_nothing(threads, first_frames, monkeypatch):
+    """Also where columns grow while parts share them."""
     monkeypatch.setattr(module, "MIN_TRIALS", 5)
+    monkeypatch.setattr(module, "FIRST_FRAMES", first_frames)
     one = build(make_env(trials=47))
     many = build(make_env(trials=47), threads=threads)
     active = np.arange(47) % 4 != 2
@@ -89,7 +92,8 @@ def test_threads_change_nothing(threads, monkeypatch):
             assert torch.equal(ours[name], theirs[name]), name
 
 
-def test_memory_is_reused_and_grows():
+def test_memory_is_reused_and_grows(monkeypatch):
+    monkeypatch.setattr(module, "FIRST_FRAMES", 64)
     collector = build(make_env(trials=3))
     collector.policy[0].weight.data[:, 0] = torch.tensor([0.0, -1.0, -8.0, -3.0])
     collector.policy[0].weight.data[:, 1] = 0

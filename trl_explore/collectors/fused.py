@@ -47,7 +47,7 @@ BLOCK = 2048
 """Trials whose frames are better had at once than those of more."""
 LEAD = 8_000
 """How many frames a thread has run before another one has woken up."""
-FIRST_FRAMES = 64
+FIRST_FRAMES = 256
 """Frames of an episode that there is room for at first."""
 
 
@@ -96,7 +96,7 @@ class FusedCollector(EpisodeCollector):
         self._scratches = [scratch(*sizes) for _ in range(threads)]
 
     def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
-        trials = np.flatnonzero(active)
+        (trials,) = active.nonzero()
         self.strategy.begin(active, self.episodes)
         episodes = self.episodes[trials]
         if self.episodes_per_update > 1:

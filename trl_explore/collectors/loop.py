@@ -14,16 +14,13 @@ where whole episodes go to the data, in order of trials.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numba as nb
 import numpy as np
 
-from trl_explore import kernels, ops
 from trl_explore.collectors import lanes as lanes_module
 from trl_explore.collectors import mixing, networks
 from trl_explore.collectors import scratch as scratch_module
@@ -44,21 +41,19 @@ from trl_explore.collectors.lanes import (
 from trl_explore.collectors.mixing import compile_mixing, load_point
 from trl_explore.collectors.networks import Network, compile_network
 from trl_explore.collectors.scratch import Scratch, compile_deliver, is_narrow, row_of
-from trl_explore.compiled import SourceCache
-from trl_explore.kernels import Kernel
+from trl_explore.compiled import compiled
+from trl_explore.kernels import Kernel, base, philox
+from trl_explore.kernels import borrow as borrow_module
 from trl_explore.kernels.base import kernel_function
 from trl_explore.kernels.borrow import borrow, lane, on_stack
 from trl_explore.kernels.philox import STATE_SIZE, begin
+from trl_explore.ops import activation, exponential, linear
 
-SOURCES = (
-    *(__file__, lanes_module.__file__, scratch_module.__file__, mixing.__file__, networks.__file__),
-    *(Path(kernels.__file__).with_name(f"{name}.py") for name in ("base", "philox", "borrow")),
-    *(
-        Path(ops.__file__).with_name(f"{name}.py")
-        for name in ("activation", "exponential", "linear")
-    ),
+INLINED = (
+    *(lanes_module, scratch_module, mixing, networks, base, borrow_module, philox),
+    *(activation, exponential, linear),
 )
-"""The files that are compiled into the loop, besides the kernel's own."""
+"""The modules that are compiled into the loop, besides this one and the kernel's own."""
 
 
 def compile_loop(
@@ -221,13 +216,7 @@ def _compile(  # noqa: C901 - the parts of one compiled function
             done += n
         return done, place
 
-    compiled = nb.njit(nogil=True, error_model="numpy")(loop)
-    cache = SourceCache(loop)
-    inlined = [Path(file).read_bytes() for file in SOURCES]
-    parts = (*inlined, digest.encode(), repr((state_size, network, mask is not None)).encode())
-    cache.digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
-    compiled._cache = cache
-    return compiled
+    return compiled(*INLINED, key=(state_size, network, mask is not None, digest))(loop)
 
 
 @part
