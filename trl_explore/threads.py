@@ -19,7 +19,7 @@ from trl_explore.checks import MAX_THREADS, check_integer
 MIN_FRAMES = 50_000
 """Below this number of frames, handing work to a thread costs more than it saves."""
 
-LEAD = 20_000
+LEAD = 8_000
 """How many frames the calling thread has treated before another one has woken up."""
 
 _threads = 1

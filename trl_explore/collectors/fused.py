@@ -45,7 +45,7 @@ MIN_TRIALS = 128
 """Trials for each thread below which dividing them costs more than it saves."""
 BLOCK = 2048
 """Trials whose frames are better had at once than those of more."""
-LEAD = 8_000
+LEAD = 3_000
 """How many frames a thread has run before another one has woken up."""
 FIRST_FRAMES = 256
 """Frames of an episode that there is room for at first."""
