@@ -29,7 +29,8 @@ before the collector is built. For a corridor in which the floor is slippery:
 What the functions are given and owe:
 
 * ``state`` is a float64 array [state_size]; whole numbers keep their value in it:
-  ``int(state[0])``.
+  ``int(state[0])``. Take it and ``observation`` element by element: in the loop their numbers do
+  not lie side by side, so that ``reshape`` and ``view`` do not compile.
 * ``action`` is an integer in [0, n_actions); ``step`` returns the reward (a float) and whether the
   episode has *terminated*; time limits are the collector's business, and the environment must have
   one (``max_episode_steps``).
