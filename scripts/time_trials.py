@@ -123,7 +123,7 @@ def time_trial(job: Job, trial: int) -> tuple[float, int]:
     finally:
         trainer.collector.shutdown()
     frames = int(trials.frames[0])
-    recorded = int(job.trials.set_index("trial").loc[trial, "frames"])  # type: ignore[arg-type]
+    recorded = int(job.trials.set_index("trial")["frames"].to_dict()[trial])
     if frames != recorded:
         raise ConfigError(
             f"{job.folder}: trial {trial} took {frames} frames by itself and {recorded} in the"

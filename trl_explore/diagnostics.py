@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor
 
-from trl_explore.actor import frame_distribution
+from trl_explore.actor import SoftmaxCategorical, frame_distribution
 from trl_explore.episodes import Episodes
 from trl_explore.results.names import DIAGNOSTIC_COLUMNS as COLUMNS
 from trl_explore.strategies import BaseStrategy, Strategy
@@ -125,7 +125,7 @@ class Diagnostics:
 
     def _greedy(self, episodes: Episodes) -> dict[str, Tensor]:
         data = episodes.tensordict
-        logits = frame_distribution(self.actor, data).logits  # type: ignore[attr-defined]
+        logits = cast(SoftmaxCategorical, frame_distribution(self.actor, data)).logits
         largest = logits.amax(-1)
         taken = logits.gather(-1, data.get("action").unsqueeze(-1)).squeeze(-1)
         chosen = torch.nn.functional.one_hot(logits.argmax(-1), logits.shape[-1]).to(logits.dtype)

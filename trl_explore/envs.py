@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import torch
+from gymnasium.spaces import Discrete
 from torchrl.data import Binary
 from torchrl.envs import (
     Compose,
@@ -77,7 +78,7 @@ def make_env(
     )
     env = GymWrapper(lanes, categorical_action_encoding=True)
     if lanes.has_masks:
-        n = int(lanes.single_action_space.n)  # type: ignore[attr-defined]
+        n = int(cast(Discrete, lanes.single_action_space).n)
         spec = Binary(n, shape=torch.Size([trials, n]), dtype=torch.bool)
         reader = default_info_dict_reader(["action_mask"], spec=[spec])
         env.set_info_dict_reader(reader)

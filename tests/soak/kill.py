@@ -91,8 +91,8 @@ def start(arguments: list[str], folder: Path) -> int:
         runpy.run_path(str(SCRIPT), run_name="__main__")
     except SystemExit as error:
         code = error.code if isinstance(error.code, int) else int(error.code is not None)
-    except BaseException:
-        sys.excepthook(*sys.exc_info())  # type: ignore[arg-type]
+    except BaseException as error:
+        sys.excepthook(type(error), error, error.__traceback__)
     finally:
         with contextlib.suppress(OSError, ValueError):
             sys.stdout.flush()
@@ -284,7 +284,7 @@ def warm_up(place: Path) -> None:
 
 def main() -> int:
     """Parse the command line and soak."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--kills", type=int, default=20, help="at least (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the instants and signals")
     parser.add_argument("--keep", action="store_true", help="keep the folders")

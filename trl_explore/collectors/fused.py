@@ -10,6 +10,7 @@ from typing import Any, cast
 import gymnasium as gym
 import numpy as np
 import torch
+from gymnasium.spaces import Discrete
 from gymnasium.wrappers import (
     DtypeObservation,
     FlattenObservation,
@@ -211,7 +212,8 @@ def check_sizes(
     """
     sizes = (kernel.n_actions, kernel.n_features)
     lanes = lane_env(env)
-    served = (int(lanes.single_action_space.n), *(lanes.single_observation_space.shape or ()))  # type: ignore[attr-defined]
+    n_actions = int(cast(Discrete, lanes.single_action_space).n)
+    served = (n_actions, *(lanes.single_observation_space.shape or ()))
     if served != sizes:
         raise NotCompilableError(
             f"the kernel is made for (actions, features) {sizes}, not {served}"

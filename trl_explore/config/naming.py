@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 from urllib.parse import quote
 
 from omegaconf import DictConfig, OmegaConf
@@ -77,7 +77,7 @@ def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
 
 
 def _default_choices() -> dict[str, str]:
-    entries = OmegaConf.load(CONF / "train.yaml").defaults  # type: ignore[union-attr]
+    entries = cast(DictConfig, OmegaConf.load(CONF / "train.yaml")).defaults
     named = (entry for entry in entries if isinstance(entry, DictConfig))
     return {str(group): option for entry in named for group, option in entry.items()}
 
@@ -107,5 +107,6 @@ def _default(defaults: DictConfig, config: DictConfig, key: str) -> Any:
     node = OmegaConf.select(defaults, parent, throw_on_missing=False) if parent else defaults
     if not isinstance(node, DictConfig) or name not in node or OmegaConf.is_missing(node, name):
         return ABSENT
-    pointer = re.fullmatch(r"\$\{([\w.]+)\}", str(OmegaConf.to_container(node)[name]))  # type: ignore[index]
+    unresolved = cast(dict[str, Any], OmegaConf.to_container(node))
+    pointer = re.fullmatch(r"\$\{([\w.]+)\}", str(unresolved[name]))
     return OmegaConf.select(config, pointer[1]) if pointer else node[name]
