@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
-from functools import lru_cache, partial
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -15,12 +14,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from trl_explore.checks import MAX_THREADS, check_integer
+from trl_explore.crew import together
 
-MIN_FRAMES = 50_000
+MIN_FRAMES = 10_000
 """Below this number of frames, handing work to a thread costs more than it saves."""
-
-LEAD = 8_000
-"""How many frames the calling thread has treated before another one has woken up."""
 
 _threads = 1
 
@@ -40,26 +37,6 @@ def get_threads() -> int:
     return _threads
 
 
-@lru_cache(maxsize=1)
-def pool() -> ThreadPoolExecutor:
-    """The threads that compiled code without the interpreter's lock runs on; begun when needed."""
-    return ThreadPoolExecutor(MAX_THREADS, thread_name_prefix="trl_explore")
-
-
-def together(calls: Sequence[Callable[[], Any]]) -> list[Any]:
-    """What the calls return, each on a thread of its own, the first one on the calling thread.
-
-    None is left running when one has failed or is interrupted: they write to memory that others
-    will use again.
-    """
-    others = [pool().submit(call) for call in calls[1:]]
-    try:
-        return [calls[0](), *[other.result() for other in others]]
-    except BaseException:
-        wait(others)
-        raise
-
-
 def fits(first: Tensor, *others: Tensor) -> bool:
     """Whether compiled code serves these tensors: on the CPU, all float32 or all float64."""
     dtype = first.dtype
@@ -75,13 +52,14 @@ def by_trial(
     *,
     ordered: bool = False,
 ) -> bool:
-    """Call ``kernel(*frames, *shared)``, on large data in several threads at once.
+    """Call ``kernel(*frames, *shared, bell)``, on large data in several threads at once.
 
     Every thread has the frames of whole trials, in their order, so that no result depends on the
     number of threads (``set_threads``) as long as trials share nothing in the kernel.
 
     Args:
-        kernel: compiled, releasing the interpreter's lock; returns whether the data are valid.
+        kernel: compiled, releasing the interpreter's lock; it first rings the ``bell``, and returns
+            whether the data are valid.
         frames: arrays [frames, ...]; the last one is the trial of each frame.
         shared: further arguments, the same for every thread.
         ordered: whether data are valid only where the trials ascend, and the kernel looks.
@@ -91,13 +69,12 @@ def by_trial(
     """
     trial, threads = frames[-1], _threads
     if threads == 1 or len(trial) < MIN_FRAMES or not (ordered or _ascending(trial)):
-        return kernel(*frames, *shared)
-    lead = min(LEAD, len(trial) // threads)
-    cuts = [lead + (len(trial) - lead) * j // threads for j in range(1, threads)]
+        return kernel(*frames, *shared, 0)
+    cuts = [len(trial) * j // threads for j in range(1, threads)]
     edges = [0, *(int(np.searchsorted(trial, trial[cut])) for cut in cuts), len(trial)]
     parts = [(low, high) for low, high in pairwise(edges) if high > low]
     if any(trial[before - 1] >= trial[low] for (_, before), (low, _) in pairwise(parts)):
-        return kernel(*frames, *shared)  # no order to cut by
+        return kernel(*frames, *shared, 0)  # no order to cut by
     calls = [partial(kernel, *(x[low:high] for x in frames), *shared) for low, high in parts]
     return all(together(calls))
 

@@ -117,11 +117,13 @@ class Part:
         self.trials, self.episodes = trials, episodes
         self.place = columns.middle
 
-    def run(self, loop: Callable[..., tuple[int, int]], parameters: Any, context: Any) -> None:
+    def run(
+        self, loop: Callable[..., tuple[int, int]], parameters: Any, context: Any, bell: int = 0
+    ) -> None:
         """Run episodes until all are done, or the columns are full."""
         done, self.place = loop(
             parameters, self.trials, self.episodes, *context, self.scratch, self.columns.arrays,
-            self.place, self.backwards,
+            self.place, self.backwards, bell,
         )  # fmt: skip
         left = slice(0, len(self.trials) - done) if self.backwards else slice(done, None)
         self.trials, self.episodes = self.trials[left], self.episodes[left]

@@ -32,22 +32,20 @@ from trl_explore.collectors.columns import Columns, Part, grow, joined
 from trl_explore.collectors.loop import compile_loop
 from trl_explore.collectors.networks import Network, arrays, network_of
 from trl_explore.collectors.scratch import scratch
+from trl_explore.crew import together
 from trl_explore.envs import lane_env
 from trl_explore.kernels import Kernel, kernel_of
 from trl_explore.policies.base import is_one_hot
 from trl_explore.strategies import BaseStrategy, MixtureStrategy, Strategy
 from trl_explore.streams import Stream, key
-from trl_explore.threads import together
 
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
 TRANSFORMS = (StepCounter, RewardSum)
 
-MIN_TRIALS = 128
+MIN_TRIALS = 32
 """Trials for each thread below which dividing them costs more than it saves."""
 BLOCK = 2048
 """Trials whose frames are better had at once than those of more."""
-LEAD = 3_000
-"""How many frames a thread has run before another one has woken up."""
 FIRST_FRAMES = 256
 """Frames of an episode that there is room for at first."""
 
@@ -88,8 +86,7 @@ class FusedCollector(EpisodeCollector):
         masked = has_mask(env)
         self._loop = compile_loop(self.kernel, self.network, masked)
         self.threads = check_integer("threads", threads, 1)
-        if threads == 1:  # to wait for each other costs more than memory that is far away
-            self.block = BLOCK
+        self.block = BLOCK * threads
         n_masks = self.kernel.n_actions if masked else 0
         self._columns = [Columns(self.kernel.n_features, n_masks) for _ in range(threads)]
         episodes = self.trials * self.episodes_per_update
@@ -127,9 +124,7 @@ class FusedCollector(EpisodeCollector):
         count = max(1, min(self.threads, len(trials) // MIN_TRIALS))
         if count == 1:
             return [Part(self._columns[0], self._scratches[0], trials, episodes)]
-        # The first part is run by the calling thread, which is awake.
-        lead = min(len(trials) // 4, int(LEAD * self.episodes.sum() / (self.frames + 1)))
-        edges = [0, *(lead + (len(trials) - lead) * i // count for i in range(1, count + 1))]
+        edges = [len(trials) * i // count for i in range(count + 1)]
         # The two parts in the middle share the first columns, of which one fills the frames
         # before the middle, and the other those behind it.
         middle = count // 2

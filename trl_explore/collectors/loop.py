@@ -21,6 +21,8 @@ from typing import Any
 import numba as nb
 import numpy as np
 
+from trl_explore import bell as bell_module
+from trl_explore.bell import ring
 from trl_explore.collectors import lanes as lanes_module
 from trl_explore.collectors import mixing, networks
 from trl_explore.collectors import scratch as scratch_module
@@ -51,7 +53,7 @@ from trl_explore.ops import activation, exponential, linear
 
 INLINED = (
     *(lanes_module, scratch_module, mixing, networks, base, borrow_module, philox),
-    *(activation, exponential, linear),
+    *(activation, bell_module, exponential, linear),
 )
 """The modules that are compiled into the loop, besides this one and the kernel's own."""
 
@@ -169,8 +171,9 @@ def _compile(  # noqa: C901 - the parts of one compiled function
 
     def loop(
         parameters, trials, episodes, first_trial, env_key, action_key, weights, mixture,
-        explore, memory, columns, place, backwards,
+        explore, memory, columns, place, backwards, bell,
     ):  # fmt: skip
+        ring(bell)
         arrays, width, max_steps = memory
         # The argument is no named tuple: numba could not read its cache once the class has moved.
         scratch = Scratch(*arrays)

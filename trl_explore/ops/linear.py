@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from trl_explore.bell import ring
 from trl_explore.kernels.base import kernel_function
 from trl_explore.threads import by_trial, check_frames, fits
 
@@ -117,7 +118,8 @@ class _LaneLinear(torch.autograd.Function):
 
 
 @nb.njit(cache=True, nogil=True)
-def _forward(x, out, trial, weight, bias):
+def _forward(x, out, trial, weight, bias, bell):
+    ring(bell)
     trials, n_out, n_in = weight.shape
     columns = np.empty((n_in, n_out), dtype=weight.dtype)
     i = 0
@@ -174,7 +176,8 @@ def accumulate(columns, x, out, n_in, n_out):
 
 
 @nb.njit(cache=True, nogil=True)
-def _backward_x(grad, out, trial, weight):
+def _backward_x(grad, out, trial, weight, bell):
+    ring(bell)
     n_out, n_in = weight.shape[1:]
     for i in range(len(grad)):
         lane = trial[i]
@@ -188,7 +191,8 @@ def _backward_x(grad, out, trial, weight):
 
 
 @nb.njit(cache=True, nogil=True)
-def _backward(x, grad, trial, slope, slope0):
+def _backward(x, grad, trial, slope, slope0, bell):
+    ring(bell)
     n_out, n_in = slope.shape[1:]
     biased = slope0.shape[1] > 0
     for i in range(len(x)):

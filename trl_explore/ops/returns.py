@@ -9,6 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from trl_explore import bell as bell_module
+from trl_explore.bell import ring
 from trl_explore.compiled import compiled
 from trl_explore.kernels.base import kernel_function
 from trl_explore.ops import runs
@@ -68,8 +70,9 @@ def return_to_go(reward: Tensor, done: Tensor, gamma: float, trial: Tensor | Non
 _1, _2, _3, _4, _5, _6, _7 = map(np.uint64, range(1, 8))
 
 
-@compiled(runs)
-def _by_run(reward, done, out, trial, gamma):
+@compiled(runs, bell_module)
+def _by_run(reward, done, out, trial, gamma, bell):
+    ring(bell)
     start = 0
     while start < len(reward):
         end = end_of_run(trial, start)

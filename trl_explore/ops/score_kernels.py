@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trl_explore import bell as bell_module
+from trl_explore.bell import ring
 from trl_explore.compiled import compiled
 from trl_explore.kernels import borrow as borrow_module
 from trl_explore.kernels.base import kernel_function
@@ -40,9 +42,10 @@ def score_kernel(shape: tuple[int, ...], observation: NDArray[Any]) -> Callable[
     return score_sparse if one_hot else score
 
 
-@compiled(borrow_module)
-def score_sparse(observation, action, advantage, trial, weight, numbers, total, gradient):
+@compiled(borrow_module, bell_module)
+def score_sparse(observation, action, advantage, trial, weight, numbers, total, gradient, bell):
     """``score`` without the features that are 0: a one-hot state has one that is not."""
+    ring(bell)
     trials, n_actions, n_features = weight.shape
     probs = np.empty(n_actions, dtype=weight.dtype)
     own_slope = np.zeros((n_actions, n_features))
@@ -112,9 +115,10 @@ def _exponentials(probs, chosen, zero):
     return log_prob - np.log(normaliser), normaliser
 
 
-@compiled()
-def score(observation, action, advantage, trial, weight, numbers, total, gradient):
+@compiled(bell_module)
+def score(observation, action, advantage, trial, weight, numbers, total, gradient, bell):
     """For any number of actions, frame by frame."""
+    ring(bell)
     trials, n_actions, n_features = weight.shape
     probs = np.empty(n_actions, dtype=weight.dtype)
     slope = np.empty((n_actions, n_features))

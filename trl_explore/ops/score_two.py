@@ -10,6 +10,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from trl_explore import bell as bell_module
+from trl_explore.bell import ring
 from trl_explore.compiled import compiled
 from trl_explore.kernels import borrow as borrow_module
 from trl_explore.kernels.base import kernel_function
@@ -73,13 +75,25 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
                 cost[f] = logarithm(small) + (d[f] if d[f] > zero else zero)
                 share[f] *= (small if d[f] < zero else one) / (one + small)
 
-    modules = (borrow_module, exponential_module, returns, runs, vectors)
+    modules = (bell_module, borrow_module, exponential_module, returns, runs, vectors)
 
     # One function, because the compiler must see that the arrays of a block do not overlap.
     @compiled(*modules, key=(n_features, single))
     def kernel(  # noqa: C901
-        observation, action, advantage, reward, done, trial, weight, numbers, gamma, total, gradient
+        observation,
+        action,
+        advantage,
+        reward,
+        done,
+        trial,
+        weight,
+        numbers,
+        gamma,
+        total,
+        gradient,
+        bell,
     ):
+        ring(bell)
         dtype = weight.dtype
         own_x, own_rows = np.empty((n_features, BLOCK), dtype), np.zeros((4, BLOCK), dtype)
         own_difference, own_slope = np.empty(n_features, dtype), np.empty(n_features)

@@ -1,0 +1,98 @@
+"""How compiled code of one thread calls another thread, without the interpreter and its lock.
+
+A thread that sleeps takes tens of microseconds to wake up, as long as a thousand frames last, and
+one that wants the interpreter's lock while others hold it sleeps. So a thread that soon has work
+again waits in compiled code, looking at a cell of memory, which is written by compiled code.
+"""
+
+# numba rewrites signatures:
+# pyright: reportCallIssue=false
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba.core import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from trl_explore.compiled import compiled
+from trl_explore.kernels.base import kernel_function
+
+LINE = 8
+"""Cells of a cache line: what two threads write lies in lines of its own."""
+CALLED, NUMBER, REPORTED = 0, LINE, 2 * LINE
+"""The cells of one worker: the last call that it has been told of, the last one that there is for
+it, and the last one that it has finished."""
+CELLS = 3 * LINE
+LOOKS = 1000
+
+
+def cells(workers: int) -> NDArray[np.int64]:
+    """The memory of a bell: a line with the number of workers to call, and then their cells."""
+    return np.zeros(LINE + workers * CELLS, dtype=np.int64)
+
+
+@intrinsic
+def _load(typingctx: Any, address: Any) -> Any:
+    """The cell at an address, and everything that was written before it was."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        cell = builder.inttoptr(args[0], ir.IntType(64).as_pointer())
+        return builder.load_atomic(cell, "acquire", 8)
+
+    return types.int64(types.int64), codegen
+
+
+@intrinsic
+def _store(typingctx: Any, address: Any, value: Any) -> Any:
+    """Write the cell at an address, after everything that was written before."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        cell = builder.inttoptr(args[0], ir.IntType(64).as_pointer())
+        builder.store_atomic(args[1], cell, "release", 8)
+        return context.get_dummy_value()
+
+    return types.none(types.int64, types.int64), codegen
+
+
+_yield = types.ExternalFunction("sched_yield", types.int32())
+"""Leave the core to other threads that could run on it, if there are any."""
+
+
+@kernel_function
+def ring(bell):
+    """Call the workers that the cells at address ``bell`` say; 0: there are none.
+
+    To be called by compiled code that has left the interpreter's lock to them.
+    """
+    if bell != 0:
+        for i in range(_load(bell)):
+            worker = bell + 8 * (LINE + i * CELLS)
+            _store(worker + 8 * CALLED, _load(worker + 8 * NUMBER))
+
+
+@compiled()
+def heard(cell, last, patience):
+    """Wait until the cell at an address is larger than ``last``; whether that took not too long.
+
+    Args:
+        cell: the address.
+        last: a number.
+        patience: how often to look.
+    """
+    for _ in range(patience):
+        for _ in range(LOOKS):
+            if _load(cell) > last:
+                return True
+        _yield()
+    return False
+
+
+@compiled()
+def report(cell, number, next_cell, patience):
+    """Write a number to the cell at an address, and wait for a larger one in another cell."""
+    _store(cell, number)
+    return heard(next_cell, number, patience)

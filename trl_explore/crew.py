@@ -1,0 +1,157 @@
+"""Threads that run compiled code beside the calling one, and soon have work again."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import threading
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trl_explore.bell import CALLED, CELLS, LINE, NUMBER, REPORTED, cells, heard, report
+from trl_explore.checks import MAX_THREADS
+
+PATIENCE = 6_000
+"""How often a thread looks whether there is work before it falls asleep: some 2 ms."""
+
+Call = Callable[[int], Any]
+"""Something to do, given the address of the bell that its compiled code is to ring first; or 0."""
+
+
+def together(calls: Sequence[Call]) -> list[Any]:
+    """What the calls return, each on a thread of its own, the first one on the calling thread.
+
+    The others begin when the first one rings (``bell.ring``), or 2 ms later. None is left running
+    when one has failed or is interrupted: they write to memory that others will use again. Where
+    the threads have work already, the calls are made one after the other.
+    """
+    crew = _crew()
+    if len(calls) == 1 or not crew.free.acquire(blocking=False):
+        return [call(0) for call in calls]
+    try:
+        return crew.run(calls)
+    finally:
+        crew.free.release()
+
+
+@lru_cache(maxsize=1)
+def _crew() -> Crew:
+    crew = Crew()
+    atexit.register(crew.dismiss)
+    return crew
+
+
+os.register_at_fork(after_in_child=_crew.cache_clear)  # threads stay behind
+
+
+class Crew:
+    """The calling thread and its workers, who are engaged when they are needed.
+
+    Attributes:
+        free: held while they work.
+    """
+
+    def __init__(self) -> None:
+        self.free = threading.Lock()
+        self._cells = cells(MAX_THREADS)
+        self._workers: list[_Worker] = []
+
+    def run(self, calls: Sequence[Call]) -> list[Any]:
+        """As ``together``; ``free`` must be held."""
+        first, *others = calls
+        for i in range(len(self._workers), len(others)):
+            place = LINE + i * CELLS
+            self._workers.append(_Worker(i, self._cells[place : place + CELLS]))
+        workers = self._workers[: len(others)]
+        self._cells[0] = len(workers)
+        try:
+            for worker, call in zip(workers, others, strict=True):
+                worker.post(call)
+            return [first(self._cells.ctypes.data), *[worker.result() for worker in workers]]
+        except BaseException:
+            for worker in workers:
+                worker.wait()
+            raise
+
+    def dismiss(self) -> None:
+        """End the workers: a thread must not come back to an interpreter that is gone."""
+        for worker in self._workers:
+            if worker.is_alive():  # none is in the child of a fork
+                worker.post(None)
+                worker.join()
+
+
+class _Worker(threading.Thread):
+    """A thread that makes one call after the other."""
+
+    def __init__(self, index: int, own: NDArray[np.int64]) -> None:
+        super().__init__(name=f"trl_explore-{index + 1}", daemon=True)
+        self._cells = own
+        self._called, self._reported = (own.ctypes.data + 8 * i for i in (CALLED, REPORTED))
+        self._changed = threading.Condition()
+        self._asleep = False
+        self._posted = self._finished = 0
+        self._call: Call | None = None
+        self._result: Any = None
+        self._error: BaseException | None = None
+        self.start()
+
+    def post(self, call: Call | None) -> None:
+        """The next call, made when the bell rings, or at once by a thread that sleeps.
+
+        None ends the thread.
+        """
+        with self._changed:
+            self._call, self._result, self._error = call, None, None
+            self._posted += 1
+            self._cells[NUMBER] = self._posted
+            if self._asleep:
+                self._changed.notify_all()
+
+    def wait(self) -> None:
+        """Wait for the end of the last call."""
+        if self._finished == self._posted or heard(self._reported, self._posted - 1, PATIENCE):
+            return
+        with self._changed:
+            self._changed.notify_all()  # in case that ``post`` was interrupted before it did
+            while self._finished < self._posted:
+                self._changed.wait()
+
+    def result(self) -> Any:
+        """What the last call returned, or raised."""
+        self.wait()
+        result, error = self._result, self._error
+        self._result = self._error = None
+        if error is not None:
+            raise error
+        return result
+
+    def run(self) -> None:
+        last, called = 0, False
+        while True:
+            if not called:
+                self._sleep(last)
+            last, call, self._call = self._posted, self._call, None
+            if call is None:
+                return
+            try:
+                self._result = call(0)
+            except BaseException as error:  # of whatever kind: it is the caller's
+                self._error = error
+            del call  # and the memory that it holds
+            with self._changed:
+                self._finished = last
+                self._changed.notify_all()
+            called = report(self._reported, last, self._called, PATIENCE)
+
+    def _sleep(self, last: int) -> None:
+        """Wait until there is a call after the number ``last``."""
+        with self._changed:
+            self._asleep = True
+            while self._posted == last:
+                self._changed.wait()
+            self._asleep = False
