@@ -16,8 +16,8 @@ from trl_explore.compiled import compiled
 from trl_explore.kernels import borrow as borrow_module
 from trl_explore.kernels.borrow import borrow
 
-ACTIVE, CONVERGED, CAPPED, DIVERGED = "active", "converged", "capped", "diverged"
-STATUSES = (ACTIVE, CONVERGED, CAPPED, DIVERGED)
+STATUSES = np.array(["active", "converged", "capped", "diverged"])
+ACTIVE, CONVERGED, CAPPED, DIVERGED = range(4)
 CURVES = ("episode_score", "score", "active", "converged")
 
 
@@ -50,7 +50,7 @@ class Trials:
         self.max_iterations = check_integer("max_iterations", max_iterations, 1)
         self.score_threshold = check_number("score_threshold", score_threshold)
         self.score_window = check_integer("score_window", score_window, 1)
-        self.status = np.full(n, ACTIVE, dtype="<U9")
+        self._status = np.full(n, ACTIVE, dtype=np.uint8)
         self.active = np.ones(n, dtype=np.bool_)
         self.iterations = np.zeros(n, dtype=np.int64)
         self.frames = np.zeros(n, dtype=np.int64)
@@ -67,7 +67,7 @@ class Trials:
         self._curves: list[tuple[float, ...]] = []
 
     def __len__(self) -> int:
-        return len(self.status)
+        return len(self._status)
 
     @property
     def iteration(self) -> int:
@@ -118,19 +118,24 @@ class Trials:
     def _stop(
         self, trial: NDArray[np.int64], passed: NDArray[np.bool_], diverged: NDArray[np.bool_]
     ) -> None:
-        self.status[trial[passed]] = CONVERGED
-        self.status[trial[diverged]] = DIVERGED
+        self._status[trial[passed]] = CONVERGED
+        self._status[trial[diverged]] = DIVERGED
         if self.iteration >= self.max_iterations:
-            self.status[self.status == ACTIVE] = CAPPED
-        self.active = self.status == ACTIVE
+            self._status[self._status == ACTIVE] = CAPPED
+        self.active = self._status == ACTIVE
         self._n_converged = int(np.count_nonzero(self.converged))
         stopped = trial[~self.active[trial]]
         self._episode_score[stopped] = self.score[stopped]  # carried forward from here on
 
     @property
+    def status(self) -> NDArray[np.str_]:
+        """What has become of the trial: active, converged, capped or diverged [n]."""
+        return STATUSES[self._status]
+
+    @property
     def converged(self) -> NDArray[np.bool_]:
         """Whether the trial has converged [n]."""
-        return self.status == CONVERGED
+        return self._status == CONVERGED
 
     def curves(self) -> dict[str, NDArray[np.float64]]:
         """Averages over all trials after every iteration, each [iterations]."""
@@ -150,10 +155,9 @@ class Trials:
     def state_dict(self) -> dict[str, Any]:
         """Everything but the episodes, which ``history`` gives: its size stays the same."""
         arrays = {name: getattr(self, name).copy() for name in _ROWS}
-        codes = np.array([STATUSES.index(status) for status in self.status], dtype=np.uint8)
         return {
             **arrays,
-            "status": codes,
+            "status": self._status.copy(),
             "iteration": self.iteration,
             "episodes": self._n_episodes,
         }
@@ -170,8 +174,8 @@ class Trials:
             )
         for name in _ROWS:
             getattr(self, name)[:] = state[name]
-        self.status = np.array(STATUSES, dtype="<U9")[state["status"]]
-        self.active = self.status == ACTIVE
+        self._status[:] = state["status"]
+        self.active = self._status == ACTIVE
         self._n_converged = int(np.count_nonzero(self.converged))
         self._n_episodes = int(state["episodes"])
 

@@ -162,16 +162,17 @@ def _number(value: float) -> str:
 
 def _trials_csv(trials: Trials, config: Mapping[str, Any]) -> str:
     lines = [",".join(TRIAL_COLUMNS)]
+    converged, status = trials.converged, trials.status
     for k in range(len(trials)):
         row = (
             config["first_trial"] + k,
             config["seed"],
             trials.iterations[k],
-            trials.converged[k],
+            converged[k],
             _number(trials.score[k]),
             trials.frames[k],
             f"{trials.seconds[k]:.6f}",
-            trials.status[k],
+            status[k],
         )
         lines.append(",".join(map(str, row)))
     return "\n".join(lines) + "\n"
