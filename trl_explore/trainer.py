@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
@@ -11,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
+from trl_explore.clock import clock
 from trl_explore.collectors import EpisodeCollector
 from trl_explore.diagnostics import Diagnostics
 from trl_explore.episodes import outcomes
@@ -86,7 +86,8 @@ class Trainer:
         self.on_iteration = on_iteration
         self._weights = Views(optimizer.parameters)
         self.seconds = 0.0
-        """Wall time of the training so far; that before an interruption counts [s]."""
+        """Wall time of the training so far, with that before an interruption, without that of
+        compilation [s]."""
         parts = {
             "collector": collector,
             "loss": loss,
@@ -100,10 +101,10 @@ class Trainer:
 
     def run(self) -> Trials:
         """Train until every trial has stopped."""
-        started = time.perf_counter() - self.seconds
+        started = clock() - self.seconds
         while self.trials.active.any():
             self._iterate(started)
-            self.seconds = time.perf_counter() - started
+            self.seconds = clock() - started
             if self.on_iteration is not None:
                 self.on_iteration(self.trials)
         return self.trials
@@ -150,7 +151,7 @@ class Trainer:
         self.collector.strategy.step(data)
         diverged = self._diverged(trial_loss, active)
         passed = self._evaluate(active)
-        self.trials.record(scores, frames, diverged, time.perf_counter() - started, passed)
+        self.trials.record(scores, frames, diverged, clock() - started, passed)
 
     def _learn(
         self, active: NDArray[np.bool_]

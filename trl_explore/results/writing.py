@@ -82,7 +82,7 @@ def write_job(
         experiment: name of the sweep.
         strategy: name of the strategy.
         collector: name of the collector that was used.
-        seconds: wall time of the training.
+        seconds: wall time of the training, without compilation.
         episodes: whether to write ``episodes.csv``.
         evaluator: what was evaluated, for ``evaluations.csv``.
         diagnostics: what was recorded beside the scores, for further columns of ``episodes.csv``.
