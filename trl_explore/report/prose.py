@@ -53,12 +53,19 @@ def question(evidence: Evidence) -> str:
         " how surely, and how fast, a policy-gradient agent learns?</p>"
         f"<p>Here many independent agents (<b>trials</b>) learned {escape(main.environment)}"
         f"{elsewhere} with REINFORCE, all alike except for their strategy{also}. One"
-        " <b>iteration</b> is one episode and the update that follows it. A trial has"
+        f" <b>iteration</b> is {_episodes(evidence)} and the update that follows. A trial has"
         " <b>converged</b>, or passed, when its"
         f" mean score over the last {main.window} episodes exceeds {main.threshold:g}; a trial"
         f" that has not after {main.cap:,} iterations is stopped at this <b>cap</b>. The"
         f" strategies:</p><ul>{items}</ul>"
     )
+
+
+def _episodes(evidence: Evidence) -> str:
+    """Of how many episodes an iteration consists."""
+    counts = sorted({int(o.config.get("episodes_per_update", 1)) for o in evidence.outcomes})
+    words = ["one episode" if k == 1 else f"{k} episodes" for k in counts]
+    return " or ".join(words)
 
 
 def method(evidence: Evidence) -> str:
