@@ -1,8 +1,16 @@
 import numpy as np
 import pytest
 
-from trl_explore.analysis.answer import answer
-from trl_explore.analysis.claims import CLAIMS, Checked, Finding, Study, Verdict, check_claims
+from trl_explore.analysis.answer import answer, because
+from trl_explore.analysis.claims import (
+    CLAIMS,
+    Checked,
+    Finding,
+    Study,
+    Verdict,
+    check_claims,
+    why,
+)
 from trl_explore.analysis.comparisons import compare_all
 
 
@@ -91,3 +99,20 @@ def test_verdicts_are_counted():
         f" (“{CLAIMS[1].statement.rstrip('.')}”), 2 are open at this number of trials"
         " (the last of those that can be computed needs 1,200) and 1 was not measured."
     )
+
+
+def test_what_the_bias_explains_is_said_with_its_verdict():
+    first, second, third = (Checked(claim, Finding(v, "")) for claim, v in zip(
+        why.CLAIMS, ("holds", "open", "not measured"), strict=False
+    ))  # fmt: skip
+    text = because([first, second, third])
+    assert text.endswith(
+        "“Most of what ε-greedy takes longer than softmax is the bias of its gradient, not its"
+        " exploration”: this holds; “Most of what decaying ε-greedy takes longer than softmax is"
+        " the bias of its gradient”: this is open."
+    )
+    assert because([third]) == because([]) == ""
+
+
+def test_the_statements_on_the_bias_are_among_those_that_are_checked():
+    assert set(why.BIAS) < {claim.id for claim in why.CLAIMS}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -20,5 +21,5 @@ from trl_explore.report import prose
 def test_an_iteration_is_as_many_episodes_as_were_run(per_update, words):
     group = SimpleNamespace(environment="E", window=10, threshold=3.0, cap=5, crossed=None)
     outcomes = [SimpleNamespace(strategy="softmax", config=config) for config in per_update]
-    evidence = SimpleNamespace(groups=[SimpleNamespace(group=group)], outcomes=outcomes)
+    evidence: Any = SimpleNamespace(groups=[SimpleNamespace(group=group)], outcomes=outcomes)
     assert f"<b>iteration</b> is {words} and the update that follows." in prose.question(evidence)

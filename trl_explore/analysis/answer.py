@@ -41,6 +41,33 @@ def answer(
     )
 
 
+def because(causes: Sequence[Checked]) -> str:
+    """State whether it is exploration that tells the strategies apart, or a biased gradient.
+
+    A strategy that acts by another policy μ than the one that learns, π, also has a gradient that
+    is that of neither.
+
+    Args:
+        causes: the checked statements on what the bias explains.
+
+    Returns:
+        A sentence; empty where none of the statements was measured.
+
+    """
+    words = {HOLDS: "this holds", FAILS: "this does not hold", OPEN: "this is open"}
+    said = [
+        f"“{c.claim.statement.rstrip('.')}”: {words[c.finding.verdict]}"
+        for c in causes
+        if c.finding.verdict in words
+    ]
+    if not said:
+        return ""
+    return (
+        "Exploration is not all that differs: an agent that acts by another policy than the one"
+        f" it learns follows a gradient that belongs to neither. {'; '.join(said)}."
+    )
+
+
 def _fastest(
     configurations: Sequence[Outcomes], comparisons: Sequence[Comparison], name: dict[str, str]
 ) -> str:

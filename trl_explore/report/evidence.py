@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from trl_explore.analysis.answer import answer
+from trl_explore.analysis.answer import answer, because
 from trl_explore.analysis.bootstrap import RESAMPLES, streams
 from trl_explore.analysis.claims import Checked, Study, check_claims, why
 from trl_explore.analysis.comparisons import Comparison, compare_all, compare_pairs
@@ -99,13 +99,14 @@ def gather(loaded: Loaded, *, level: float = LEVEL, resamples: int = RESAMPLES) 
     )
     checked = check_claims(study, rngs["claims"])
     reexamined, causes = _why(study, rngs)
+    bias = because([c for c in causes if c.claim.id in why.BIAS])
     last = answer([], [], checked)[2]
     return Evidence(
         groups=parts,
         checked=checked,
         reexamined=reexamined,
         causes=causes,
-        answer=(*parts[0].sentences, readable(last)),
+        answer=(*parts[0].sentences, *([bias] if bias else []), readable(last)),
         shared=shared_trials(outcomes),
         gaps=gaps,
         outcomes=outcomes,

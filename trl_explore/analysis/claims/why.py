@@ -280,3 +280,6 @@ CLAIMS = (
     ),
 )
 """Statements about the cause, beyond the thesis."""
+
+BIAS = ("why.epsilon_greedy_mostly_bias", "why.decaying_mostly_bias")
+"""The statements on how much of a difference is the bias of the gradient."""
