@@ -154,6 +154,9 @@ def document(m: Measured, load: str, figure: str | None) -> str:
     machine = [*description(), ("load average before", load)]
     whole = s.cap == CAP and s.lanes_cap == CAP
     picture = f"![Frames per second against the number of trials]({figure})\n\n" if figure else ""
+    rounds = str(s.repeats)
+    if s.slow_repeats != s.repeats:
+        rounds += f", or {s.slow_repeats} for the lanes and for {max(SIZES):,} trials"
     note = "" if whole else f"{SHORTENED.format(s.cap, s.lanes_cap)}\n\n"
     return f"""# Speed
 
@@ -162,7 +165,7 @@ def document(m: Measured, load: str, figure: str | None) -> str:
 CartPole-v1, linear policy, REINFORCE with Adam. Timed is training alone, after imports and \
 compilation, in whole runs: until the last trial has converged or reached {s.cap:,} iterations. \
 Everything is from one run of `benchmarks/speed.py`: medians over all rounds, of which \
-there were {s.repeats}, or {s.slow_repeats} for the lanes and for {max(SIZES):,} trials. Each \
+there were {rounds}. Each \
 round runs everything once, so that noise of the machine hits all alike.
 
 ## Frames per second, softmax

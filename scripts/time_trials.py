@@ -3,8 +3,9 @@
 The seconds of a sweep are those of whole batches. The thesis measured something else, the time
 of one trial run by itself. This script runs trials of every finished job in DIR again, each alone
 in this one process, on one thread, in random order over all jobs, after a warm-up that compiles
-and loads everything, and writes ``timings.csv`` into the folder of the sweep. Only the training is
-timed: not the import of packages, not the construction of the agent, not the files.
+and loads everything, and writes ``timings.csv`` into the folder of the sweep, where the timings of
+other jobs stay. Only the training is timed: not the import of packages, not the construction of the
+agent, not the files.
 """
 
 from __future__ import annotations
@@ -70,6 +71,7 @@ def compose_job(folder: Path) -> Job:
     with open_dict(composed):
         del composed["hydra"]
     configuration.check_keys(composed, choices)
+    configuration.fill_threshold(composed)
     values = configuration.resolved(composed)
     for target in _targets(values):
         if not _is_known(target):
@@ -159,19 +161,29 @@ def run(folders: list[Path], trials: int) -> None:
     configuration.register_resolvers()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         jobs = [compose_job(folder) for folder in found]
+    sweeps = dict.fromkeys(job.folder.parent for job in jobs)
+    kept = {sweep: results.read_timings(sweep) for sweep in sweeps}
     timings = time_all(jobs, trials)
     names = [(job.experiment, job.folder.name) for job in jobs]
-    for sweep in dict.fromkeys(job.folder.parent for job in jobs):
+    for sweep in sweeps:
         here = {n for n, job in zip(names, jobs, strict=True) if job.folder.parent == sweep}
         mask = [pair in here for pair in zip(timings["experiment"], timings["job"], strict=True)]
-        results.write_timings(sweep, timings.loc[mask])
+        tables = [timings.loc[mask]]
+        if (before := kept[sweep]) is not None:  # those of the other jobs stay
+            others = [
+                pair not in here for pair in zip(before["experiment"], before["job"], strict=True)
+            ]
+            tables = [before.loc[others], *tables] if any(others) else tables
+        results.write_timings(sweep, pd.concat(tables))
         print(f"{sweep / results.TIMINGS}: {sum(mask)} trials timed")
 
 
 def main() -> int:
     """Parse the command line; anything that is wrong is one line on stderr, and status 1."""
     parser = argparse.ArgumentParser(description="Time single trials of a finished sweep.")
-    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="sweep folder")
+    parser.add_argument(
+        "folders", nargs="+", type=Path, metavar="DIR", help="folder of a sweep or job"
+    )
     parser.add_argument("--trials", type=int, default=10, help="per job (default: %(default)s)")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.WARNING)

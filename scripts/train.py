@@ -167,19 +167,20 @@ def train_from(
             interrupts.check()
             trials = trainer.run()
             progress.close()
-            results.write_job(
-                folder,
-                trials,
-                dict(trainer.collector.policy[0].named_parameters()),
-                config=values,
-                experiment=choices.get("experiment") or "train",
-                strategy=str(choices["strategy"]),
-                collector=type(trainer.collector).__name__,
-                seconds=trainer.seconds,
-                episodes=config.episodes,
-                evaluator=trainer.evaluator,
-                diagnostics=trainer.diagnostics,
-            )
+            with interrupts.held():  # what is trained is not thrown away
+                results.write_job(
+                    folder,
+                    trials,
+                    dict(trainer.collector.policy[0].named_parameters()),
+                    config=values,
+                    experiment=choices.get("experiment") or "train",
+                    strategy=str(choices["strategy"]),
+                    collector=type(trainer.collector).__name__,
+                    seconds=trainer.seconds,
+                    episodes=config.episodes,
+                    evaluator=trainer.evaluator,
+                    diagnostics=trainer.diagnostics,
+                )
     except BaseException:
         if interrupts.pending is not None:
             saver.rescue()
@@ -190,6 +191,7 @@ def train_from(
     finally:
         progress.close()
         trainer.collector.shutdown()
+        trainer.on_iteration = None  # a cycle, which would keep the data of job after job
     store.clear()
     interrupts.check()
 

@@ -32,6 +32,6 @@ def test_a_report_waits_for_the_answer():
     assert own[0] == 3
     other = threading.Thread(target=report, args=(answer, 5, told, 1))
     other.start()
-    assert report(told, 4, answer, 1 << 40)
+    assert report(told, 4, answer, 20_000_000_000)
     other.join()
     assert own[[0, LINE]].tolist() == [4, 5]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import random
+import signal
 import subprocess
 import sys
 import threading
@@ -11,6 +13,7 @@ import time
 import numpy as np
 import pytest
 
+from trl_explore import crew
 from trl_explore.bell import heard, ring
 from trl_explore.compiled import compiled
 from trl_explore.crew import Crew, together
@@ -24,7 +27,7 @@ def thread(bell):
 def ring_and_wait(bell, cell):
     """Ring, and wait for somebody who writes the cell."""
     ring(bell)
-    return heard(cell, 0, 1 << 40)
+    return heard(cell, 0, 20_000_000_000)
 
 
 def test_results_are_in_the_order_of_the_calls():
@@ -108,6 +111,81 @@ def test_no_thread_is_left_running(broken, error):
     assert together([int, lambda bell: 3])[1] == 3
 
 
+class Alarm(BaseException):
+    """What a signal raises."""
+
+
+@pytest.fixture
+def alarm():
+    """Signals raise, wherever the program is."""
+
+    def ring_alarm(number, frame):
+        raise Alarm
+
+    before = signal.signal(signal.SIGALRM, ring_alarm)
+    yield
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def test_a_signal_at_any_moment_leaves_no_lock_and_no_call_behind(alarm):
+    draw, memory, interrupted = random.Random(0), np.zeros(4), 0
+
+    def write(bell, k, value):
+        memory[k] = value
+
+    for i in range(400):
+        calls = [lambda bell, k=k, i=i: write(bell, k, i) for k in range(1 + i % 4)]
+        try:
+            signal.setitimer(signal.ITIMER_REAL, draw.uniform(1e-6, 3e-4))
+            together(calls)
+            signal.setitimer(signal.ITIMER_REAL, 0)
+        except Alarm:
+            interrupted += 1
+        memory[:] = -1
+        if i % 4 == 3:
+            assert together([lambda bell, k=k: (k, write(bell, k, k))[0] for k in range(4)]) == [
+                0, 1, 2, 3,
+            ]  # fmt: skip
+            assert memory.tolist() == [0, 1, 2, 3]
+        else:
+            assert memory.tolist() == [-1, -1, -1, -1]
+    assert interrupted > 20
+
+
+def test_a_second_signal_does_not_leave_a_thread_running(alarm):
+    memory = []
+
+    def slow(bell):
+        time.sleep(0.3)
+        memory.append("written")
+        raise ValueError("of the first call")
+
+    def wait(bell):
+        signal.setitimer(signal.ITIMER_REAL, 0.05, 0.05)
+        time.sleep(10)
+
+    with pytest.raises(Alarm):
+        together([wait, slow])
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    assert memory == ["written"]
+    assert together([int, lambda bell: 2])[1] == 2
+
+
+def test_more_calls_than_threads_are_refused():
+    with pytest.raises(ValueError, match=r"threads .*64.*65"):
+        together([int] * 65)
+
+
+def test_after_the_end_calls_are_made_one_after_the_other(monkeypatch):
+    """As in an exit handler that runs after the one that ends the threads."""
+    own = Crew()
+    monkeypatch.setattr(crew, "_crew", lambda: own)
+    assert together([thread, thread])[1] != threading.get_ident()
+    own.dismiss()
+    assert set(together([thread, thread])) == {threading.get_ident()}
+
+
 def test_calls_from_within_a_call_are_made_there():
     def nested(bell):
         return together([thread, thread])
@@ -140,6 +218,8 @@ def test_a_forked_process_has_threads_of_its_own():
     child = os.fork()
     if child == 0:
         status = 1
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(60)
         try:
             status = together([int, lambda bell: 0])[1]
         finally:

@@ -195,6 +195,21 @@ def test_any_other_id(run_many, tmp_path):
     assert used == {"Acrobot-v1": -100, "CliffWalking-v1": -30}
 
 
+def test_a_module_named_with_the_id_is_imported(tmp_path, monkeypatch):
+    module = tmp_path / "registers_an_environment.py"
+    module.write_text(
+        "import gymnasium as gym\n"
+        "gym.register('Registered-v0', entry_point=__name__ + ':no', reward_threshold=7)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert reward_threshold("registers_an_environment:Registered-v0") == 7.0
+    with pytest.raises(ValueError, match="unknown environment id 'absent_module:No-v0'"):
+        reward_threshold("absent_module:No-v0")
+    module.with_name("broken_module.py").write_text("raise OSError('no disk')")
+    with pytest.raises(ValueError, match="cannot be imported: OSError: no disk"):
+        reward_threshold("broken_module:No-v0")
+
+
 def test_the_registered_thresholds():
     assert reward_threshold("FrozenLake8x8-v1") == 0.85
     assert reward_threshold("Pendulum-v1") is None

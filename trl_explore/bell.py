@@ -10,6 +10,7 @@ again waits in compiled code, looking at a cell of memory, which is written by c
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,9 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from trl_explore.compiled import compiled
+from trl_explore.kernels import borrow as borrow_module
 from trl_explore.kernels.base import kernel_function
+from trl_explore.kernels.borrow import on_stack
 
 LINE = 8
 """Cells of a cache line: what two threads write lies in lines of its own."""
@@ -28,6 +31,7 @@ CALLED, NUMBER, REPORTED = 0, LINE, 2 * LINE
 it, and the last one that it has finished."""
 CELLS = 3 * LINE
 LOOKS = 1000
+"""How often a thread looks before it lets others have the core."""
 
 
 def cells(workers: int) -> NDArray[np.int64]:
@@ -60,6 +64,16 @@ def _store(typingctx: Any, address: Any, value: Any) -> Any:
 
 _yield = types.ExternalFunction("sched_yield", types.int32())
 """Leave the core to other threads that could run on it, if there are any."""
+_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
+_timespec = on_stack(types.int64, 2)
+_CLOCK = time.CLOCK_MONOTONIC
+
+
+@kernel_function
+def _nanoseconds(timespec):
+    """The time by a clock that only goes forward."""
+    _gettime(_CLOCK, timespec.ctypes.data)
+    return timespec[0] * 1_000_000_000 + timespec[1]
 
 
 @kernel_function
@@ -74,24 +88,27 @@ def ring(bell):
             _store(worker + 8 * CALLED, _load(worker + 8 * NUMBER))
 
 
-@compiled()
+@compiled(borrow_module)
 def heard(cell, last, patience):
     """Wait until the cell at an address is larger than ``last``; whether that took not too long.
 
     Args:
         cell: the address.
         last: a number.
-        patience: how often to look.
+        patience: for how long to wait, if nobody else wants the core [ns].
     """
-    for _ in range(patience):
+    timespec = _timespec()
+    begun = _nanoseconds(timespec)
+    while True:
         for _ in range(LOOKS):
             if _load(cell) > last:
                 return True
+        if _nanoseconds(timespec) - begun > patience:
+            return False
         _yield()
-    return False
 
 
-@compiled()
+@compiled(borrow_module)
 def report(cell, number, next_cell, patience):
     """Write a number to the cell at an address, and wait for a larger one in another cell."""
     _store(cell, number)

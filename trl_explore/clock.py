@@ -25,6 +25,11 @@ class _CompileTime(event.Listener):
         if self._depth == 0:
             self.seconds += time.perf_counter() - self._started
 
+    def total(self) -> float:
+        """With the compilation that has not ended yet."""
+        since = time.perf_counter() - self._started if self._depth else 0.0
+        return self.seconds + since
+
 
 _compiling = _CompileTime()
 event.register("numba:compile", _compiling)
@@ -41,4 +46,4 @@ def clock() -> float:
         >>> clock() - started < 1
         True
     """
-    return time.perf_counter() - _compiling.seconds
+    return time.perf_counter() - _compiling.total()

@@ -5,7 +5,9 @@ from __future__ import annotations
 import atexit
 import os
 import threading
+import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
@@ -13,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.bell import CALLED, CELLS, LINE, NUMBER, REPORTED, cells, heard, report
-from trl_explore.checks import MAX_THREADS
+from trl_explore.checks import MAX_THREADS, check_integer
 
-PATIENCE = 6_000
-"""How often a thread looks whether there is work before it falls asleep: some 2 ms."""
+PATIENCE = 2_000_000
+"""For how long a thread looks whether there is work before it falls asleep [ns]."""
+NAP = 2e-4
+"""For how long the calling thread then sleeps between two looks [s]."""
 
 Call = Callable[[int], Any]
 """Something to do, given the address of the bell that its compiled code is to ring first; or 0."""
@@ -25,17 +29,20 @@ Call = Callable[[int], Any]
 def together(calls: Sequence[Call]) -> list[Any]:
     """What the calls return, each on a thread of its own, the first one on the calling thread.
 
-    The others begin when the first one rings (``bell.ring``), or 2 ms later. None is left running
-    when one has failed or is interrupted: they write to memory that others will use again. Where
-    the threads have work already, the calls are made one after the other.
+    The others begin when the first one rings (``bell.ring``); a thread that sleeps begins at once,
+    and without a ring all begin after ``PATIENCE``. None is left running when one has failed or is
+    interrupted: they write to memory that others will use again. Where the threads have work
+    already, the calls are made one after the other.
+
+    Raises:
+        ValueError: if there are more than ``MAX_THREADS`` calls.
     """
+    check_integer("threads", len(calls), 1, MAX_THREADS)
     crew = _crew()
-    if len(calls) == 1 or not crew.free.acquire(blocking=False):
+    if crew.free.locked():
         return [call(0) for call in calls]
-    try:
+    with crew.free:  # its acquire() and a try would leave a gap for a signal between them
         return crew.run(calls)
-    finally:
-        crew.free.release()
 
 
 @lru_cache(maxsize=1)
@@ -63,26 +70,45 @@ class Crew:
     def run(self, calls: Sequence[Call]) -> list[Any]:
         """As ``together``; ``free`` must be held."""
         first, *others = calls
-        for i in range(len(self._workers), len(others)):
-            place = LINE + i * CELLS
-            self._workers.append(_Worker(i, self._cells[place : place + CELLS]))
-        workers = self._workers[: len(others)]
+        self._settle()  # what signals have left running
+        if not others:
+            return [first(0)]
+        workers = self._engaged(len(others))
         self._cells[0] = len(workers)
         try:
             for worker, call in zip(workers, others, strict=True):
                 worker.post(call)
             return [first(self._cells.ctypes.data), *[worker.result() for worker in workers]]
         except BaseException:
-            for worker in workers:
-                worker.wait()
+            self._settle()
             raise
+
+    def _engaged(self, count: int) -> list[_Worker]:
+        """So many workers."""
+        if not self._workers:
+            # Compiled here, where an error of the compiler or of its cache has somebody to go to.
+            report(self._cells.ctypes.data, 0, self._cells.ctypes.data, 0)
+            heard(self._cells.ctypes.data, 0, 0)
+        for i in range(len(self._workers), count):
+            place = LINE + i * CELLS
+            self._workers.append(_Worker(i, self._cells[place : place + CELLS]))
+        return self._workers[:count]
+
+    def _settle(self) -> None:
+        """Wait until nobody works, whatever signals come meanwhile."""
+        while any([not worker.is_done() for worker in self._workers]):  # noqa: C419 - faster
+            with suppress(BaseException):  # another one is on its way already
+                for worker in self._workers:
+                    worker.wait()
+        for worker in self._workers:
+            worker.forget()
 
     def dismiss(self) -> None:
         """End the workers: a thread must not come back to an interpreter that is gone."""
+        self.free.acquire(blocking=False)  # for good: later calls are made one after the other
         for worker in self._workers:
             if worker.is_alive():  # none is in the child of a fork
-                worker.post(None)
-                worker.join()
+                worker.end()
 
 
 class _Worker(threading.Thread):
@@ -92,7 +118,9 @@ class _Worker(threading.Thread):
         super().__init__(name=f"trl_explore-{index + 1}", daemon=True)
         self._cells = own
         self._called, self._reported = (own.ctypes.data + 8 * i for i in (CALLED, REPORTED))
-        self._changed = threading.Condition()
+        # A signal may come inside of a condition's own ``with``, but not of that of a lock in C.
+        self._lock = threading.RLock()
+        self._changed = threading.Condition(self._lock)
         self._asleep = False
         self._posted = self._finished = 0
         self._call: Call | None = None
@@ -105,30 +133,47 @@ class _Worker(threading.Thread):
 
         None ends the thread.
         """
-        with self._changed:
+        with self._lock:
             self._call, self._result, self._error = call, None, None
             self._posted += 1
             self._cells[NUMBER] = self._posted
             if self._asleep:
                 self._changed.notify_all()
 
+    def is_done(self) -> bool:
+        """Whether the last call has ended."""
+        return self._finished == self._posted
+
     def wait(self) -> None:
         """Wait for the end of the last call."""
-        if self._finished == self._posted or heard(self._reported, self._posted - 1, PATIENCE):
+        if self.is_done() or heard(self._reported, self._posted - 1, PATIENCE):
             return
-        with self._changed:
-            self._changed.notify_all()  # in case that ``post`` was interrupted before it did
-            while self._finished < self._posted:
-                self._changed.wait()
+        while not self.is_done():
+            with self._lock:
+                self._changed.notify_all()  # in case that ``post`` was interrupted before it did
+            time.sleep(NAP)
+
+    def forget(self) -> None:
+        """Let go of what the last call returned, or raised."""
+        self._result = self._error = None
 
     def result(self) -> Any:
         """What the last call returned, or raised."""
         self.wait()
         result, error = self._result, self._error
-        self._result = self._error = None
-        if error is not None:
-            raise error
-        return result
+        self.forget()
+        try:
+            if error is not None:
+                raise error
+            return result
+        finally:
+            del error  # which knows this frame
+
+    def end(self) -> None:
+        """End the thread."""
+        self.post(None)
+        self._cells[CALLED] = self._posted
+        self.join()
 
     def run(self) -> None:
         last, called = 0, False
@@ -143,14 +188,12 @@ class _Worker(threading.Thread):
             except BaseException as error:  # of whatever kind: it is the caller's
                 self._error = error
             del call  # and the memory that it holds
-            with self._changed:
-                self._finished = last
-                self._changed.notify_all()
+            self._finished = last
             called = report(self._reported, last, self._called, PATIENCE)
 
     def _sleep(self, last: int) -> None:
         """Wait until there is a call after the number ``last``."""
-        with self._changed:
+        with self._lock:
             self._asleep = True
             while self._posted == last:
                 self._changed.wait()

@@ -25,8 +25,8 @@ _threads = 1
 def set_threads(threads: int) -> None:
     """Set among how many threads compiled code divides large data; results do not depend on it.
 
-    Not torch's threads: those wait for their next task by spinning, on the cores that these need.
-    Beside more than one of these, torch should have one (``torch.set_num_threads(1)``).
+    Not torch's threads, which would wait for their next task on the cores that these need: beside
+    more than one of these, torch should have one (``torch.set_num_threads(1)``).
     """
     global _threads
     _threads = check_integer("threads", threads, 1, MAX_THREADS)

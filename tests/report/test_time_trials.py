@@ -51,6 +51,34 @@ def test_each_trial_runs_again_by_itself_with_the_frames_it_had(sweep, time_tria
         assert job.timing.trial.tolist() == [0, 1]
 
 
+def test_timings_of_other_jobs_stay(sweep, time_trials):
+    assert time_trials(sweep, "--trials", "3").returncode == 0
+    before = read_timings(sweep)
+    job = next(path for path in sweep.iterdir() if path.name.startswith("softmax"))
+    done = time_trials(job, "--trials", "1")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("1 trials timed\n")
+    after = read_timings(sweep)
+    assert before is not None
+    assert after is not None
+    others = before["job"] != job.name
+    assert sum(others) == 3
+    kept = after[after["job"] != job.name].reset_index(drop=True)
+    assert kept.equals(before[others].reset_index(drop=True))
+    assert after.loc[after["job"] == job.name, "trial"].tolist() == [0]
+
+
+def test_a_threshold_that_gymnasium_registers_is_found_again(run_cli, tmp_path, time_trials):
+    out = tmp_path / "registered"
+    done = run_cli(
+        "env=gym", "env.id=Acrobot-v1", "env.max_steps=20", "trials=2", "max_iterations=3",
+        f"output_dir={out}", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    done = time_trials(out)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize(
     "line", ["strategy._target_=os.system", "+evil=1", "hydra.run.dir=elsewhere", "strategy=a,b"]
 )

@@ -171,4 +171,4 @@ def _count(n: int, one: str, many: str) -> str:
 
 
 def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+    return text[:1].upper() + text[1:] if text[:1].isascii() else text  # ε has no capital

@@ -26,7 +26,7 @@ from torchrl.data import OneHot
 from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
-from trl_explore.checks import check_integer
+from trl_explore.checks import MAX_THREADS, check_integer
 from trl_explore.collectors.base import EpisodeCollector
 from trl_explore.collectors.columns import Columns, Part, grow, joined
 from trl_explore.collectors.loop import compile_loop
@@ -85,7 +85,7 @@ class FusedCollector(EpisodeCollector):
             raise NotCompilableError(f"{name} prepares for every episode, and there are several")
         masked = has_mask(env)
         self._loop = compile_loop(self.kernel, self.network, masked)
-        self.threads = check_integer("threads", threads, 1)
+        self.threads = check_integer("threads", threads, 1, MAX_THREADS)
         self.block = BLOCK * threads
         n_masks = self.kernel.n_actions if masked else 0
         self._columns = [Columns(self.kernel.n_features, n_masks) for _ in range(threads)]

@@ -66,13 +66,14 @@ def compile_loop(
     The function returned has the signature
 
         loop(parameters, trials, episodes, first_trial, env_key, action_key, weights, mixture,
-             explore, memory, columns, place, backwards) -> (trials done, place)
+             explore, memory, columns, place, backwards, bell) -> (trials done, place)
 
     with trials and episodes [m] int64 (rows of the weights and the numbers of their episodes),
     weights of ``networks.arrays``, mixture [4, 1 or *] float64 (greedy, softmax, uniform,
     temperature), explore whether to draw actions or to take the first of largest logit, memory of
     ``scratch.scratch``, and columns the arrays of ``columns.Columns``, which it fills from frame
     ``place`` on. Backwards, it takes the last trials first, and fills the frames before ``place``.
+    It begins by ringing the ``bell`` (``bell.ring``), so that other threads begin as well.
     It stops before a group of trials whose episodes do not fit.
 
     Args:

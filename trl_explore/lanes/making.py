@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from importlib import import_module
 from numbers import Real
 from typing import Any
 
@@ -133,15 +134,25 @@ def _set_attribute(env: gym.Env, id: str, name: str, value: Any) -> None:
 def reward_threshold(id: str) -> float | None:
     """The mean score at which gymnasium calls an environment solved; None if it registers none.
 
+    Args:
+        id: gymnasium id, maybe with the module that registers it, ``module:id``.
+
     Raises:
-        ValueError: if the id is unknown.
+        ValueError: if the id is unknown, or its module fails.
 
     Example:
         >>> reward_threshold("Acrobot-v1")
         -100.0
     """
     try:
-        threshold = gym.spec(id).reward_threshold
+        module, _, name = id.rpartition(":")
+        if module:
+            import_module(module)
+        threshold = gym.spec(name).reward_threshold
     except (gym.error.Error, ModuleNotFoundError) as error:
         raise ValueError(f"unknown environment id {id!r}: {first_line(error)}") from error
+    except Exception as error:  # whatever a module raises while it is imported
+        raise ValueError(
+            f"environment {id!r} cannot be imported: {type(error).__name__}: {first_line(error)}"
+        ) from error
     return None if threshold is None else float(threshold)

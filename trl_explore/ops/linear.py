@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba as nb
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from trl_explore import bell as bell_module
 from trl_explore.bell import ring
+from trl_explore.compiled import compiled
 from trl_explore.kernels.base import kernel_function
 from trl_explore.threads import by_trial, check_frames, fits
 
@@ -117,7 +118,7 @@ class _LaneLinear(torch.autograd.Function):
         return to_x, to_weight, None, to_bias
 
 
-@nb.njit(cache=True, nogil=True)
+@compiled(bell_module)
 def _forward(x, out, trial, weight, bias, bell):
     ring(bell)
     trials, n_out, n_in = weight.shape
@@ -175,7 +176,7 @@ def accumulate(columns, x, out, n_in, n_out):
         k += 1
 
 
-@nb.njit(cache=True, nogil=True)
+@compiled(bell_module)
 def _backward_x(grad, out, trial, weight, bell):
     ring(bell)
     n_out, n_in = weight.shape[1:]
@@ -190,7 +191,7 @@ def _backward_x(grad, out, trial, weight, bell):
     return True
 
 
-@nb.njit(cache=True, nogil=True)
+@compiled(bell_module)
 def _backward(x, grad, trial, slope, slope0, bell):
     ring(bell)
     n_out, n_in = slope.shape[1:]
