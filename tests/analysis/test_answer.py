@@ -97,7 +97,8 @@ def test_verdicts_are_counted():
     assert third == (
         "Of the thesis's 5 statements 1 holds, 1 does not hold"
         f" (“{CLAIMS[1].statement.rstrip('.')}”), 2 are open at this number of trials"
-        " (the last of those that can be computed needs 1,200) and 1 was not measured."
+        " (to settle the last of those that can be computed takes 1,200 of each configuration)"
+        " and 1 was not measured."
     )
 
 

@@ -140,7 +140,8 @@ def _thesis(checked: Sequence[Checked]) -> str:
     examples = f" ({'; '.join(refuted[:3])}{more})" if refuted else ""
     parts.append(_count(len(refuted), "does not hold", "do not hold") + examples)
     needed = [c.finding.trials_needed for c in by[OPEN] if c.finding.trials_needed is not None]
-    settle = f" (the last of those that can be computed needs {max(needed):,})" if needed else ""
+    which = "it" if len(by[OPEN]) == 1 else "the last of those that can be computed"
+    settle = f" (to settle {which} takes {max(needed):,} of each configuration)" if needed else ""
     still = "open at this number of trials"
     parts.append(_count(len(by[OPEN]), f"is {still}", f"are {still}") + settle)
     missing = len(checked) - len(measured)
