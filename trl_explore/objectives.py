@@ -229,15 +229,16 @@ class ReinforceLoss(LossModule):
             if type(baseline) is Constant and self._is_return_alone():
                 found = linear_softmax_reinforce(
                     observation, weight, action, episodes.reward, episodes.done, trial,
-                    gamma=self.gamma, baseline=baseline.value, scale=scale,
+                    gamma=self.gamma, baseline=baseline.value, scale=scale, into=weight.grad,
                 )  # fmt: skip
             if found is None:
                 factor = self._factor(episodes, action)
                 if not serves(observation, weight, factor):
                     return None
-                found = linear_softmax_gradient(observation, weight, action, factor, trial, scale)
-        trial_loss, gradient = found
-        weight.grad = gradient if weight.grad is None else weight.grad.add_(gradient)
+                found = linear_softmax_gradient(
+                    observation, weight, action, factor, trial, scale, weight.grad
+                )
+        trial_loss, weight.grad = found
         value_loss = baseline.loss(episodes)
         if value_loss is not None:
             value_loss.sum().backward()

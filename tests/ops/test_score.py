@@ -3,7 +3,13 @@ import math
 import pytest
 import torch
 
-from trl_explore.ops import lane_sum, linear_softmax_score, score, score_kernels
+from trl_explore.ops import (
+    lane_sum,
+    linear_softmax_gradient,
+    linear_softmax_score,
+    score,
+    score_kernels,
+)
 
 
 def plain(observation, weight, action, advantage, trial):
@@ -235,3 +241,34 @@ def test_sums_of_many_frames_are_those_in_double(n_actions, n_features):
         rows = trial == k
         error = (gradient[k].double() / (k + 1) - terms[rows].sum(0)).abs()
         assert (error <= 1e-6 * terms[rows].abs().sum(0)).all()
+
+
+@pytest.mark.parametrize("n_actions", [2, 3])
+@pytest.mark.parametrize("trials", [[4, 4, 5, 6], [5, 4, 6, 4], [0, 3, 5, 9], [9, 9]])
+def test_a_gradient_is_added_to_what_is_there(n_actions, trials):
+    """Few rows of many, rows far apart, and rows in no order: what the others have is kept."""
+    generator = torch.Generator().manual_seed(3)
+    trial = torch.tensor(trials)
+    x = torch.randn(len(trial), 4, generator=generator)
+    weight = torch.randn(10, n_actions, 4, generator=generator)
+    action = torch.randint(n_actions, trial.shape, generator=generator)
+    advantage = torch.randn(len(trial), generator=generator)
+    columns = x, weight, action, advantage, trial
+    total, gradient = linear_softmax_gradient(*columns, 0.5)
+    before = torch.randn(weight.shape, generator=generator)
+    into = before.clone()
+    same, added = linear_softmax_gradient(*columns, 0.5, into)
+    assert added is into
+    assert torch.equal(same, total)
+    assert torch.equal(added, before + gradient)
+
+
+def test_a_trial_out_of_range_is_refused_and_adds_nothing():
+    into = torch.zeros(4, 2, 1)
+    x, action = torch.ones(2, 1), torch.zeros(2, dtype=torch.int64)
+    for trials in ([3, 4], [-1, 0], [0, 9]):
+        with pytest.raises(IndexError):
+            linear_softmax_gradient(
+                x, torch.ones(4, 2, 1), action, torch.ones(2), torch.tensor(trials), 1.0, into
+            )
+    assert not into.any()

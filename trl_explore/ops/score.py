@@ -104,10 +104,12 @@ def linear_softmax_gradient(
     advantage: Tensor,
     trial: Tensor,
     scale: float = 1.0,
+    into: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """S of ``linear_softmax_score`` and ∂S/∂W [trials, n_actions, n_features], without autograd.
 
-    Both are multiplied with ``scale``, in the precision of the weights.
+    Both are multiplied with ``scale``, in the precision of the weights. The gradient is added to
+    ``into``, which is returned, if that is given.
 
     Arguments and errors are those of ``linear_softmax_score``, as far as ``serves`` says so.
 
@@ -119,11 +121,11 @@ def linear_softmax_gradient(
     """
     _check(observation, weight, action, advantage, trial)
     frames = [x.contiguous().numpy() for x in (observation, action, advantage, trial)]
-    found = _sums(frames[:3], frames[3], weight, (scale, 0))
+    found = _sums(frames[:3], frames[3], weight, (scale, 0), into=into)
     if found is None:
         order = np.argsort(frames[3], kind="stable")
         *first, trials = (array[order] for array in frames)
-        found = _sums(first, trials, weight, (scale, 0))
+        found = _sums(first, trials, weight, (scale, 0), into=into)
     if found is None:
         trials, n_actions, _ = weight.shape
         raise IndexError(f"an action is not in [0, {n_actions}) or a trial not in [0, {trials})")
@@ -136,6 +138,7 @@ def _sums(
     weight: Tensor,
     numbers: tuple[float, float],
     gamma: float = 1.0,
+    into: Tensor | None = None,
 ) -> tuple[Tensor, Tensor] | None:
     """S and its gradient; None where trials do not ascend, or something is out of range.
 
@@ -143,17 +146,36 @@ def _sums(
     and no advantages be there.
     """
     w = weight.detach().contiguous().numpy()
-    gradient, total = np.zeros(w.shape, w.dtype), np.zeros(len(w), w.dtype)
+    sums = np.zeros(len(w), w.dtype)
+    rows = slice(0, len(w)) if into is None else _rows(trial, len(w))
+    w, total = w[rows], sums[rows]
+    gradient = np.zeros(w.shape, w.dtype)
     factors = np.array(numbers, w.dtype)
     if w.shape[1] == 2:
         kernel = score_two(w.shape[2], w.dtype == np.float32)
         frames = [*frames, np.zeros(0, w.dtype), NOTHING] if len(frames) == 3 else frames
-        shared = w, factors, gamma, total, gradient
+        shared = w, rows.start, factors, gamma, total, gradient
     else:
-        kernel, shared = score_kernel(w.shape, frames[0]), (w, factors, total, gradient)
+        kernel = score_kernel(w.shape, frames[0])
+        shared = w, rows.start, factors, total, gradient
     if not by_trial(kernel, [*frames, trial], shared, ordered=True):
         return None
-    return torch.from_numpy(total), torch.from_numpy(gradient)
+    slope = torch.from_numpy(gradient)
+    if into is not None:
+        into[rows].add_(slope)
+    return torch.from_numpy(sums), slope if into is None else into
+
+
+def _rows(trial: NDArray[Any], trials: int) -> slice:
+    """Where the rows of ascending trials lie: some of thousands are treated as if there were few.
+
+    All rows, if they are most of them, or the trials do not ascend.
+    """
+    if len(trial) and 0 <= trial[0] <= trial[-1] < trials:
+        first, end = int(trial[0]), int(trial[-1]) + 1
+        if 2 * (end - first) <= trials:
+            return slice(first, end)
+    return slice(0, trials)
 
 
 def linear_softmax_reinforce(
@@ -167,6 +189,7 @@ def linear_softmax_reinforce(
     gamma: float,
     baseline: float,
     scale: float,
+    into: Tensor | None = None,
 ) -> tuple[Tensor, Tensor] | None:
     """What ``linear_softmax_gradient`` gives for A_t = G_t − b, in one pass over the frames.
 
@@ -182,6 +205,7 @@ def linear_softmax_reinforce(
         gamma: discount γ.
         baseline: b.
         scale: a factor of S and its gradient.
+        into: what the gradient is added to, and returned, if that is given.
 
     Returns:
         S and its gradient; None where the trials do not ascend, something is out of range, or
@@ -195,7 +219,7 @@ def linear_softmax_reinforce(
     check_frames(reward.shape, done=done)
     _check(observation, weight, action, reward, trial)
     columns = [x.contiguous().numpy() for x in (observation, action, reward[:0], reward, done)]
-    return _sums(columns, trial.contiguous().numpy(), weight, (scale, baseline), gamma)
+    return _sums(columns, trial.contiguous().numpy(), weight, (scale, baseline), gamma, into)
 
 
 def _check(

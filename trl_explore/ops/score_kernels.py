@@ -28,7 +28,10 @@ WIDE, SPARSE = 8, 2
 
 
 def score_kernel(shape: tuple[int, ...], observation: NDArray[Any]) -> Callable[..., bool]:
-    """The fastest for (observation, action, advantage, trial, weight, numbers, total, gradient).
+    """The fastest for these observations.
+
+    It takes (observation, action, advantage, trial, weight, first, numbers, total, gradient, bell);
+    the trials of weights and sums begin with ``first``.
 
     Sums are multiplied with the first of the numbers, after they have been rounded. Which of the
     two kernels is chosen, by the data, changes no bit where the weights are finite; where they are
@@ -43,7 +46,9 @@ def score_kernel(shape: tuple[int, ...], observation: NDArray[Any]) -> Callable[
 
 
 @compiled(borrow_module, bell_module)
-def score_sparse(observation, action, advantage, trial, weight, numbers, total, gradient, bell):
+def score_sparse(
+    observation, action, advantage, trial, weight, first, numbers, total, gradient, bell
+):
     """``score`` without the features that are 0: a one-hot state has one that is not."""
     ring(bell)
     trials, n_actions, n_features = weight.shape
@@ -54,13 +59,13 @@ def score_sparse(observation, action, advantage, trial, weight, numbers, total, 
     zero = np.zeros(1, dtype=weight.dtype)[0]
     i, before = 0, np.int64(-1)
     while i < len(action):
-        lane = trial[i]
+        lane = trial[i] - first
         if not before < lane < trials:
             return False
         before = lane
         slope[:] = 0
         value = 0.0
-        while i < len(action) and trial[i] == lane:
+        while i < len(action) and trial[i] - first == lane:
             chosen, factor = action[i], np.float64(advantage[i])
             if not 0 <= chosen < n_actions:
                 return False
@@ -116,7 +121,7 @@ def _exponentials(probs, chosen, zero):
 
 
 @compiled(bell_module)
-def score(observation, action, advantage, trial, weight, numbers, total, gradient, bell):
+def score(observation, action, advantage, trial, weight, first, numbers, total, gradient, bell):
     """For any number of actions, frame by frame."""
     ring(bell)
     trials, n_actions, n_features = weight.shape
@@ -125,13 +130,13 @@ def score(observation, action, advantage, trial, weight, numbers, total, gradien
     zero = np.zeros(1, dtype=weight.dtype)[0]
     i, before = 0, np.int64(-1)
     while i < len(action):
-        lane = trial[i]
+        lane = trial[i] - first
         if not before < lane < trials:
             return False
         before = lane
         slope[:] = 0
         value = 0.0
-        while i < len(action) and trial[i] == lane:
+        while i < len(action) and trial[i] - first == lane:
             chosen, factor = action[i], np.float64(advantage[i])
             if not 0 <= chosen < n_actions:
                 return False

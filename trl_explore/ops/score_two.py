@@ -37,9 +37,10 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
     vector instructions. Blocks begin with the first frame of a trial, whatever stands before it.
 
     Returns:
-        A kernel of (observation, action, advantage, reward, done, trial, weight, numbers, gamma,
-        total, gradient). It takes the advantages, or, where there are rewards, forms them: the
-        return less the second of the numbers.
+        A kernel of (observation, action, advantage, reward, done, trial, weight, first, numbers,
+        gamma, total, gradient, bell); the trials of weights and sums begin with ``first``. It
+        takes the advantages, or, where there are rewards, forms them: the return less the second
+        of the numbers.
     """
     take = columns(n_features)
     exponential, logarithm = (exp32, log1p32) if single else (np.exp, np.log1p)
@@ -87,6 +88,7 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
         done,
         trial,
         weight,
+        first,
         numbers,
         gamma,
         total,
@@ -106,7 +108,7 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
         actions = np.int64(0)
         start, before = 0, np.int64(-1)
         while start < len(action):
-            lane = trial[start]
+            lane = trial[start] - first
             if not before < lane < len(weight):
                 return False
             before, end = lane, end_of_run(trial, start)
