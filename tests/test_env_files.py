@@ -6,6 +6,7 @@ import json
 import re
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -99,8 +100,9 @@ def test_the_best_policy_passes(name):
     A mean that luck alone lifts above it says nothing of what was learned. Where the file says
     what the best policy reaches, it is that.
     """
-    node, env = FILES[name], gym.make(FILES[name].id).unwrapped
-    moves, value = env.P, np.zeros(env.observation_space.n)  # type: ignore[attr-defined]
+    node = FILES[name]
+    env: Any = gym.make(node.id).unwrapped
+    moves, value = env.P, np.zeros(env.observation_space.n)
     for _ in range(node.max_steps):
         value = np.array([
             max(
@@ -109,7 +111,7 @@ def test_the_best_policy_passes(name):
             )
             for state in range(len(value))
         ])  # fmt: skip
-    best = float(env.initial_state_distrib @ value)  # type: ignore[attr-defined]
+    best = float(env.initial_state_distrib @ value)
     assert best > node.score_threshold
     said = re.search(r"best policy reaches ([\d.]+)", (CONF / f"{name}.yaml").read_text())
     assert (said is None) == (name == "cliffwalking")

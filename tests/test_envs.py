@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -529,7 +530,7 @@ def test_lane_env_refuses_other_environments():
     with pytest.raises(
         ValueError, match=r"has no lanes; build it with trl_explore\.envs\.make_env"
     ):
-        lane_env(object())  # type: ignore[arg-type]
+        lane_env(cast(Any, object()))
 
 
 def test_first_line():

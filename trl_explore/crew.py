@@ -96,7 +96,7 @@ class Crew:
 
     def _settle(self) -> None:
         """Wait until nobody works, whatever signals come meanwhile."""
-        while any([not worker.is_done() for worker in self._workers]):  # noqa: C419 - faster
+        while not all(map(_Worker.is_done, self._workers)):
             with suppress(BaseException):  # another one is on its way already
                 for worker in self._workers:
                     worker.wait()

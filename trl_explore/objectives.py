@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
 from tensordict.nn import ProbabilisticTensorDictSequential, dispatch
 from torch import Tensor
+from torchrl.modules import ProbabilisticActor
 from torchrl.objectives.common import LossModule
 
 from trl_explore.actor import frame_distribution, frame_log_prob, linear_weight, score_sum
@@ -137,7 +139,7 @@ class ReinforceLoss(LossModule):
         self.discount_steps = check_flag("discount_steps", discount_steps)
         self.normalize_advantage = check_flag("normalize_advantage", normalize_advantage)
         self.entropy_coeff = check_number("entropy_coeff", entropy_coeff, 0)
-        actor_network = self.correction.actor(actor_network, strategy)  # type: ignore[arg-type]
+        actor_network = self.correction.actor(cast(ProbabilisticActor, actor_network), strategy)
         self.trials = None if trials is None else check_integer("trials", trials, 1)
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}")

@@ -39,8 +39,9 @@ def laid_out(layouts) -> list[GroupEvidence]:
 
 
 def boxes(figure: Figure) -> list[tuple[str, Any]]:
-    FigureCanvasAgg(figure).draw()
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
     shown = [t for t in figure.findobj(Text) if t.get_visible() and t.get_text().strip()]
     # Ticks beyond the limits exist, but are not drawn.
     found = [(t.get_text(), t.get_window_extent(renderer)) for t in shown if _drawn(t, figure)]

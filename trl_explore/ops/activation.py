@@ -61,7 +61,8 @@ def activate(x: Tensor, activation: str) -> Tensor:
         return torch.tanh(x) if activation == "tanh" else torch.relu(x)
     flat = x.reshape(-1).contiguous()
     if torch.is_grad_enabled() and x.requires_grad:
-        return _Activate.apply(flat, activation).reshape(x.shape)  # type: ignore[union-attr]
+        out: Any = _Activate.apply(flat, activation)
+        return out.reshape(x.shape)
     return _apply(flat, activation).reshape(x.shape)
 
 

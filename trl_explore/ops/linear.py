@@ -60,8 +60,8 @@ def lane_linear(x: Tensor, weight: Tensor, trial: Tensor, bias: Tensor | None = 
         return plain_lane_linear(x, weight, trial, bias)
     rows = x.reshape(-1, x.shape[-1]).contiguous(), weight, trial.reshape(-1).contiguous(), bias
     differentiate = torch.is_grad_enabled() and any(t.requires_grad for t in (x, *given))
-    flat = _LaneLinear.apply(*rows) if differentiate else _apply(*rows)
-    return flat.reshape(*x.shape[:-1], weight.shape[1])  # type: ignore[union-attr]
+    flat: Any = _LaneLinear.apply(*rows) if differentiate else _apply(*rows)
+    return flat.reshape(*x.shape[:-1], weight.shape[1])
 
 
 def plain_lane_linear(

@@ -34,10 +34,10 @@ def categorical_log_prob(logits: Tensor, action: Tensor) -> Tensor:
     check_frames(logits.shape[:-1], action=action)
     if logits.device.type != "cpu" or logits.dtype not in (torch.float32, torch.float64):
         return logits.log_softmax(-1).gather(-1, action.long().unsqueeze(-1)).squeeze(-1)
-    flat = _CategoricalLogProb.apply(
+    flat: Any = _CategoricalLogProb.apply(
         logits.reshape(-1, logits.shape[-1]).contiguous(), action.reshape(-1).long().contiguous()
     )
-    return flat.reshape(action.shape)  # type: ignore[union-attr]
+    return flat.reshape(action.shape)
 
 
 class _CategoricalLogProb(torch.autograd.Function):

@@ -70,7 +70,8 @@ def linear_softmax_score(
         _check(observation, weight, action, advantage, trial)
         logits = lane_linear(observation, weight, trial)
         return lane_sum(categorical_log_prob(logits, action) * advantage, trial, len(weight))
-    return _LinearSoftmaxScore.apply(observation, weight, action, advantage, trial)  # type: ignore[return-value]
+    score: Any = _LinearSoftmaxScore.apply(observation, weight, action, advantage, trial)
+    return score
 
 
 class _LinearSoftmaxScore(torch.autograd.Function):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.envs import EnvBase
@@ -45,4 +47,5 @@ class LinearPolicy(TensorDictModule):
     @property
     def weight(self) -> nn.Parameter:
         """W [trials, n_actions, n_features]."""
-        return self.module.weight  # type: ignore[return-value]
+        module: Any = self.module
+        return module.weight
