@@ -10,8 +10,8 @@ from unittest import mock
 
 from runs import CAP, Run, build, train
 
-from trl_explore import trainer as trainer_module
-from trl_explore.trainer import Trainer
+from trl_explore.training import trainer as trainer_module
+from trl_explore.training.trainer import Trainer
 
 PHASES = ("collect", "outcomes", "loss", "optimiser", "check", "record")
 """The loss with its gradient; the check is whether loss and weights are finite."""

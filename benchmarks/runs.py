@@ -18,12 +18,12 @@ from torch import Tensor, nn
 from torchrl.collectors import Collector
 from torchrl.envs import Compose, GymEnv, RewardSum, StepCounter, TransformedEnv
 
-from trl_explore.actor import SoftmaxActor
 from trl_explore.collectors import FusedCollector, TorchRLCollector
 from trl_explore.envs import make_env
+from trl_explore.numerics.threads import set_threads
 from trl_explore.objectives import ReinforceLoss
-from trl_explore.optim import LaneAdam
 from trl_explore.policies import LinearPolicy
+from trl_explore.policies.actor import SoftmaxActor
 from trl_explore.strategies import (
     Argmax,
     DecayingEpsilonGreedy,
@@ -32,9 +32,9 @@ from trl_explore.strategies import (
     Softmax,
     Strategy,
 )
-from trl_explore.threads import set_threads
-from trl_explore.trainer import Trainer
-from trl_explore.trials import Trials
+from trl_explore.training.optimizers import LaneAdam
+from trl_explore.training.record import Trials
+from trl_explore.training.trainer import Trainer
 
 STRATEGIES: dict[str, Callable[[], Strategy]] = {
     "random": Random,

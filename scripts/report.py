@@ -6,8 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from trl_explore.jobs.columns import ResultsError
 from trl_explore.report.build import build_report
-from trl_explore.results import ResultsError
 
 
 def main() -> int:

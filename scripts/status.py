@@ -6,8 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from trl_explore.results.names import ResultsError
-from trl_explore.status import SHOWN, report, survey
+from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.status import SHOWN, report, survey
 
 
 def main() -> int:

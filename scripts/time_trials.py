@@ -28,8 +28,9 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
-from trl_explore import results, schedules
+from trl_explore import jobs as results
 from trl_explore.config import CONF, GROUPS, ConfigError
+from trl_explore.strategies import schedules
 
 ORDER_SEED = 0
 """Of the order in which the trials are run."""

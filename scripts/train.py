@@ -11,8 +11,8 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trl_explore import signals
-from trl_explore.signals import Interrupted, Interrupts
+from trl_explore.jobs import signals
+from trl_explore.jobs.signals import Interrupted, Interrupts
 
 if __name__ == "__main__":
     signals.leave_on_signals()
@@ -23,17 +23,17 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
-from trl_explore import results
-from trl_explore.checkpoint import FOLDER as CHECKPOINT
-from trl_explore.checkpoint import Checkpoint, Store
+from trl_explore import jobs as results
 from trl_explore.config import CONF, ConfigError, Ended
-from trl_explore.locks import NAME as LOCK
-from trl_explore.locks import Lock, LockedError
-from trl_explore.results import ResultsError
-from trl_explore.resume import find
+from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
+from trl_explore.jobs.checkpoint import Checkpoint, Store
+from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.lock import NAME as LOCK
+from trl_explore.jobs.lock import Lock, LockedError
+from trl_explore.jobs.resume import find
 
 if TYPE_CHECKING:
-    from trl_explore.trials import Trials
+    from trl_explore.training.record import Trials
 
 EXPECTED = (ValueError, OmegaConfBaseException, OSError, MemoryError)
 """Errors whose message says enough; before others stands their type."""
@@ -69,7 +69,7 @@ def run(config: DictConfig) -> Ended:
 
 def begin_worker() -> None:
     """Only whole lines come from a process that shares its terminal with others."""
-    from trl_explore.console import Progress
+    from trl_explore.jobs.console import Progress
 
     Progress.quiet = True
     for stream in (sys.stdout, sys.stderr):
@@ -139,9 +139,9 @@ def train_from(
     """Train from a checkpoint, or from the beginning, and write the results."""
     import torch
 
-    from trl_explore.console import Progress
-    from trl_explore.resume import Saver, restore
-    from trl_explore.threads import set_threads
+    from trl_explore.jobs.console import Progress
+    from trl_explore.jobs.resume import Saver, restore
+    from trl_explore.numerics.threads import set_threads
 
     choices = configuration.current_choices()
     trainer = configuration.build_trainer(config)
@@ -237,8 +237,8 @@ def sweep() -> int:
 
 def show(folders: list[Path]) -> None:
     """The table over all jobs, and where the files are."""
-    from trl_explore.console import table, warnings
-    from trl_explore.results import read_job
+    from trl_explore.jobs.console import table, warnings
+    from trl_explore.jobs.reading import read_job
 
     jobs = [read_job(folder) for folder in folders]
     print("\n".join([table(jobs), *warnings(jobs)]))

@@ -48,14 +48,14 @@ def build_trainer(
     import torch
     from tensordict.nn import TensorDictSequential
 
-    from trl_explore.actor import SoftmaxActor
     from trl_explore.collectors import TorchRLCollector
     from trl_explore.envs import make_env
     from trl_explore.objectives import ReinforceLoss
-    from trl_explore.optim import LaneAdam
     from trl_explore.policies import LinearPolicy
-    from trl_explore.trainer import Trainer
-    from trl_explore.trials import Trials
+    from trl_explore.policies.actor import SoftmaxActor
+    from trl_explore.training.optimizers import LaneAdam
+    from trl_explore.training.record import Trials
+    from trl_explore.training.trainer import Trainer
 
     torch.set_num_threads(1)
     env = make_env(id, trials, max_steps, seed=seed, first_trial=first_trial)

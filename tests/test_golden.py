@@ -81,8 +81,8 @@ def test_trial_7_alone_is_trial_7_of_30(collector, train):
 
 @pytest.mark.parametrize("threads", [2, 3])
 def test_threads_change_no_bit_of_a_training(threads, train, monkeypatch):
-    from trl_explore import threads as module
-    from trl_explore.collectors import fused
+    from trl_explore.collectors.fused import collector as fused
+    from trl_explore.numerics import threads as module
 
     monkeypatch.setattr(fused, "MIN_TRIALS", 1)
     monkeypatch.setattr(module, "MIN_FRAMES", 1)

@@ -16,7 +16,7 @@ from trl_explore.collectors import FusedCollector, NotCompilableError, TorchRLCo
 from trl_explore.config.building import STOPPING
 from trl_explore.config.kinds import options
 from trl_explore.envs import lane_env, make_env
-from trl_explore.kernels.base import _BUILDERS
+from trl_explore.envs.kernels.kernel import _BUILDERS
 from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import EpsilonGreedy, Softmax
 

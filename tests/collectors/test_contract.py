@@ -12,6 +12,7 @@ from torchrl.envs.utils import ExplorationType
 
 from trl_explore.collectors import EpisodeCollector, FusedCollector, TorchRLCollector
 from trl_explore.envs import make_env
+from trl_explore.numerics.streams import Stream, generator
 from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import (
     Argmax,
@@ -21,7 +22,6 @@ from trl_explore.strategies import (
     Softmax,
     inverse_cdf,
 )
-from trl_explore.streams import Stream, generator
 
 COLLECTORS = [TorchRLCollector, FusedCollector]
 STRATEGIES = [

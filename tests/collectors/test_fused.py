@@ -13,16 +13,16 @@ from torchrl.data import OneHot
 from torchrl.envs import RewardScaling
 
 from trl_explore.collectors import FusedCollector, NotCompilableError, auto_collector
-from trl_explore.collectors import fused as module
-from trl_explore.collectors.lanes import LANES
-from trl_explore.collectors.loop import compile_loop
-from trl_explore.collectors.networks import Network
-from trl_explore.collectors.scratch import Scratch, scratch
+from trl_explore.collectors.fused import collector as module
+from trl_explore.collectors.fused.lanes import LANES
+from trl_explore.collectors.fused.loop import compile_loop
+from trl_explore.collectors.fused.networks import Network
+from trl_explore.collectors.fused.scratch import Scratch, scratch
 from trl_explore.envs import make_env
-from trl_explore.kernels import Kernel, kernel_of, register_kernel
-from trl_explore.kernels import base as kernel_base
-from trl_explore.kernels.base import kernel_function
-from trl_explore.kernels.philox import random
+from trl_explore.envs.kernels import Kernel, kernel_of, register_kernel
+from trl_explore.envs.kernels import kernel as kernel_base
+from trl_explore.envs.kernels.kernel import kernel_function
+from trl_explore.numerics.philox import random
 from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import Softmax, Strategy
 

@@ -17,10 +17,11 @@ from torchrl.envs.utils import ExplorationType
 
 from tests.collectors.test_agreement import assert_same
 from trl_explore.collectors import FusedCollector, NotCompilableError, TorchRLCollector
-from trl_explore.collectors import fused as module
-from trl_explore.collectors.networks import Network, arrays, compile_network, network_of
+from trl_explore.collectors.fused import collector as module
+from trl_explore.collectors.fused.networks import Network, arrays, compile_network, network_of
 from trl_explore.envs import make_env
-from trl_explore.kernels import Kernel, kernel_function, random, register_kernel
+from trl_explore.envs.kernels import Kernel, kernel_function, register_kernel
+from trl_explore.numerics.philox import random
 from trl_explore.policies import LinearPolicy, MLPPolicy, TabularPolicy
 from trl_explore.strategies import Argmax, EpsilonGreedy, MixtureStrategy, Softmax
 from trl_explore.strategies.mixture import Mixture
@@ -285,7 +286,7 @@ def test_a_mask_that_the_environment_does_not_deliver_is_not_obeyed(ring_env):
 
 
 def test_a_kernel_without_the_mask_is_refused(ring_env, monkeypatch):
-    from trl_explore.kernels import base
+    from trl_explore.envs.kernels import kernel as base
 
     bare = Kernel(ring_reset, ring_step, ring_observe, (10,), 1, 2, 4)
     monkeypatch.setitem(base._BUILDERS, Ring, lambda env: bare)

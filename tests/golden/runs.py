@@ -10,13 +10,7 @@ from typing import Any
 import numpy as np
 
 from trl_explore.collectors import FusedCollector, TorchRLCollector
-from trl_explore.strategies import (
-    Argmax,
-    DecayingEpsilonGreedy,
-    EpsilonGreedy,
-    Random,
-    Softmax,
-)
+from trl_explore.strategies import Argmax, DecayingEpsilonGreedy, EpsilonGreedy, Random, Softmax
 
 FILE = Path(__file__).with_name("golden.json")
 STRATEGIES = {

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from trl_explore.analysis.outcomes import Outcomes
-from trl_explore.results import DIAGNOSTIC_COLUMNS, read_job
+from trl_explore.jobs.reading import read_job
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.training.columns import DIAGNOSTIC_COLUMNS
 
 
 def write_job(

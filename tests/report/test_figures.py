@@ -10,13 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
-from trl_explore.analysis.estimates import Estimate
-from trl_explore.analysis.power import detectable_difference
-from trl_explore.analysis.survival import kaplan_meier
 from trl_explore.report.figures import effects, forest, learning, plane, power, survival, trials
 from trl_explore.report.figures.curves import plot_curves
 from trl_explore.report.figures.epsilon_decay import plot_epsilon
 from trl_explore.report.style import KNOWN, MAP, OPTIONS, PAPER, visual_language
+from trl_explore.statistics.estimates import Estimate
+from trl_explore.statistics.power import detectable_difference
+from trl_explore.statistics.survival import kaplan_meier
 
 SOFTMAX, RANDOM = KNOWN["softmax"], KNOWN["random"]
 

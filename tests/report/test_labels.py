@@ -1,9 +1,4 @@
-from trl_explore.report.labels import (
-    configuration_labels,
-    natural_order,
-    readable,
-    swept_parameter,
-)
+from trl_explore.report.labels import configuration_labels, natural_order, readable, swept_parameter
 
 
 def test_strategies_are_called_by_their_names(make):
@@ -33,7 +28,7 @@ def test_evidence_reads_with_signs_and_names():
 
 def test_schedules_are_named_with_their_parameter(make):
     def job(**schedule):
-        target = f"trl_explore.schedules.{schedule.pop('kind', 'Linear')}"
+        target = f"trl_explore.strategies.schedules.{schedule.pop('kind', 'Linear')}"
         return make(
             [200], name=str(schedule), parameters={"temperature": {"_target_": target, **schedule}}
         )

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from trl_explore.jobs.columns import ResultsError
 from trl_explore.report.build import build_report
 from trl_explore.report.loading import UNFINISHED, load
-from trl_explore.results import ResultsError
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
 
-from trl_explore.analysis.claims import CLAIMS
 from trl_explore.report.build import build_report
+from trl_explore.thesis import CLAIMS
 
 EVIL = '<script>alert("x")</script>'
 

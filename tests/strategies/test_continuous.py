@@ -24,7 +24,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.config import CONF
 from trl_explore.config.kinds import options
-from trl_explore.schedules import Exponential
 from trl_explore.strategies import (
     ContinuousStrategy,
     EpsilonMean,
@@ -34,6 +33,8 @@ from trl_explore.strategies import (
     Softmax,
     UniformAction,
 )
+from trl_explore.strategies.schedules import Exponential
+from trl_explore.training.evaluation import exploiting
 
 FILES = {
     name: OmegaConf.load(CONF / "strategy" / f"{name}.yaml")
@@ -351,7 +352,7 @@ def test_keys_can_be_renamed():
 def test_who_exploits_reads_and_writes_the_same_entries(name):
     strategy = build(name, loc_key="mean", scale_key="deviation", action_key="torque")
     data = TensorDict({"mean": LOC, "deviation": SCALE})
-    assert torch.equal(strategy.exploiting()(data)["torque"], LOC)
+    assert torch.equal(exploiting(strategy)(data)["torque"], LOC)
 
 
 # State and parameters

@@ -9,9 +9,9 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torchrl.data import OneHot
 
-from trl_explore.schedules import Linear
+from trl_explore.numerics.streams import Stream, generator
 from trl_explore.strategies import CountBonus
-from trl_explore.streams import Stream, generator
+from trl_explore.strategies.schedules import Linear
 
 POLICY = TensorDictModuleBase()  # for those that do not look at it
 

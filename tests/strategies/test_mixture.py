@@ -10,7 +10,6 @@ from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from trl_explore.collectors import FusedCollector
 from trl_explore.envs import make_env
 from trl_explore.policies import LinearPolicy
-from trl_explore.schedules import Constant, Exponential, Linear, Piecewise
 from trl_explore.strategies import (
     Argmax,
     DecayingEpsilonGreedy,
@@ -24,6 +23,7 @@ from trl_explore.strategies import (
     Softmax,
     mixture_probs,
 )
+from trl_explore.strategies.schedules import Constant, Exponential, Linear, Piecewise
 
 NEVER = -torch.inf
 PREFERENCES = torch.tensor([0.0, 4.0, -1.0, 4.0], dtype=torch.float64)

@@ -7,14 +7,12 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch.distributions import Categorical, kl_divergence
 
-from trl_explore.collectors import (
-    TorchRLCollector,
-)
+from trl_explore.collectors import TorchRLCollector
 from trl_explore.envs import make_env
+from trl_explore.numerics.streams import Stream, generator
 from trl_explore.policies import LinearPolicy
-from trl_explore.schedules import Linear
 from trl_explore.strategies import ParameterNoise
-from trl_explore.streams import Stream, generator
+from trl_explore.strategies.schedules import Linear
 
 
 def collector(kind, strategy, trials=4, *, seed=0, first_trial=0, max_steps=40, **options):

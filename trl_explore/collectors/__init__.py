@@ -1,7 +1,7 @@
 """Collectors: whole episodes of every active trial, parameters fixed."""
 
 from trl_explore.collectors.auto import auto_collector
-from trl_explore.collectors.base import EpisodeCollector
+from trl_explore.collectors.collector import EpisodeCollector
 from trl_explore.collectors.fused import FusedCollector, NotCompilableError
 from trl_explore.collectors.torchrl import TorchRLCollector
 

@@ -8,8 +8,8 @@ from typing import Any
 from tensordict.nn import TensorDictSequential
 from torchrl.envs import TransformedEnv
 
-from trl_explore.collectors.base import EpisodeCollector
-from trl_explore.collectors.fused import FusedCollector, NotCompilableError
+from trl_explore.collectors.collector import EpisodeCollector
+from trl_explore.collectors.fused.collector import FusedCollector, NotCompilableError
 from trl_explore.collectors.torchrl import TorchRLCollector
 
 logger = logging.getLogger(__name__)

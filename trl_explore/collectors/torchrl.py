@@ -13,8 +13,8 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.transforms import Transform
 from torchrl.envs.utils import set_exploration_type
 
-from trl_explore.collectors.base import EpisodeCollector
-from trl_explore.streams import Stream, generator
+from trl_explore.collectors.collector import EpisodeCollector
+from trl_explore.numerics.streams import Stream, generator
 
 NOISE_STEPS = 128
 """How many steps of action noise are drawn at a time."""

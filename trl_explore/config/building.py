@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
@@ -20,9 +20,9 @@ from trl_explore.config.kinds import check_actions
 if TYPE_CHECKING:
     from torch import nn
 
-    from trl_explore.baselines import Baseline
-    from trl_explore.evaluation import Evaluator
-    from trl_explore.trainer import Trainer
+    from trl_explore.objectives.baselines import Baseline
+    from trl_explore.training.evaluation import Evaluator
+    from trl_explore.training.trainer import Trainer
 
 INTEGERS = {
     "seed": (0, LARGEST),
@@ -45,7 +45,7 @@ def fill_threshold(config: DictConfig) -> None:
     Raises:
         ConfigError: if it registers none either.
     """
-    from trl_explore.lanes import reward_threshold
+    from trl_explore.envs.gym import reward_threshold
 
     if config.score_threshold is not None or not config.env.get("id"):
         return
@@ -66,11 +66,11 @@ def build_trainer(config: DictConfig) -> Trainer:
     """
     from tensordict.nn import TensorDictSequential
 
-    from trl_explore.actor import actor_of
-    from trl_explore.compiled import lock_cache
-    from trl_explore.diagnostics import Diagnostics
-    from trl_explore.trainer import Trainer
-    from trl_explore.trials import Trials
+    from trl_explore.numerics.compiled import lock_cache
+    from trl_explore.policies.actor import actor_of
+    from trl_explore.training.diagnostics import Diagnostics
+    from trl_explore.training.record import Trials
+    from trl_explore.training.trainer import Trainer
 
     lock_cache()
     fill_threshold(config)
@@ -127,8 +127,8 @@ def _evaluator(config: DictConfig, policy: Any, strategy: Any) -> Evaluator | No
     from torchrl.envs.utils import ExplorationType
 
     from trl_explore.collectors import auto_collector
-    from trl_explore.evaluation import Evaluator
-    from trl_explore.streams import Stream
+    from trl_explore.numerics.streams import Stream
+    from trl_explore.training.evaluation import Evaluator, exploiting
 
     if config.stop_on not in STOP_ON:
         raise ConfigError(f"stop_on must be one of {', '.join(STOP_ON)}, got {config.stop_on!r}")
@@ -136,7 +136,7 @@ def _evaluator(config: DictConfig, policy: Any, strategy: Any) -> Evaluator | No
         return None
     streams = {"seed": config.seed, "first_trial": config.first_trial, "stream": Stream.EVALUATION}
     env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
-    greedy = TensorDictSequential(policy, strategy.exploiting())
+    greedy = TensorDictSequential(policy, cast(Any, exploiting(strategy)))
     collector = auto_collector(
         env,
         greedy,

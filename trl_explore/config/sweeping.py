@@ -25,7 +25,7 @@ from trl_explore.checks import first_line
 from trl_explore.config.base import ConfigError
 from trl_explore.config.building import is_multirun
 from trl_explore.config.naming import register_resolvers
-from trl_explore.results import sweeps
+from trl_explore.jobs import sweeps
 
 register_resolvers()  # a launcher's process composes the configuration before it runs our code
 # conf/hydra/launcher/ says every argument of the plugins, whose schemas have the same names.

@@ -1,12 +1,10 @@
 """Policies: (observation, trial) -> logits, or loc and scale; every trial has its parameters."""
 
-from trl_explore.policies.base import n_actions, n_dims, n_features
 from trl_explore.policies.gaussian import GaussianLinearPolicy, GaussianMLPPolicy, LaneGaussian
 from trl_explore.policies.initial import INITS, glorot_uniform, initial_weights
-from trl_explore.policies.lanes import LaneLinear, LaneMLP
-from trl_explore.policies.linear import LinearPolicy
+from trl_explore.policies.linear import LinearPolicy, TabularPolicy
 from trl_explore.policies.mlp import MLPPolicy
-from trl_explore.policies.tabular import TabularPolicy
+from trl_explore.policies.policy import LaneLinear, LaneMLP, n_actions, n_dims, n_features
 
 __all__ = [
     "INITS",

@@ -12,9 +12,8 @@ from torch import Tensor, nn
 from torchrl.envs import EnvBase
 
 from trl_explore.checks import check_flag, check_number
-from trl_explore.ops import lane_linear
-from trl_explore.policies.base import n_dims, n_features
-from trl_explore.policies.lanes import LaneLinear, LaneMLP
+from trl_explore.numerics.linear import lane_linear
+from trl_explore.policies.policy import LaneLinear, LaneMLP, n_dims, n_features
 
 LARGEST_LOG = 20.0
 """Log-scales are kept within ±20: beyond, a single action or density is no longer finite."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from trl_explore.checks import check_integer, check_number
-from trl_explore.streams import Stream, generator
+from trl_explore.numerics.streams import Stream, generator
 
 WIDEST = 100_000
 """A layer with more units than this is taken for a mistake."""

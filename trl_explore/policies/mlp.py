@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from tensordict.nn import TensorDictModule
 from torchrl.envs import EnvBase
 
-from trl_explore.policies.base import n_actions, n_features
-from trl_explore.policies.lanes import LaneMLP
+from trl_explore.policies.policy import LaneMLP, n_actions, n_features
 
 
 class MLPPolicy(TensorDictModule):

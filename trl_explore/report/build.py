@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from trl_explore.analysis.bootstrap import RESAMPLES
+from trl_explore.jobs.columns import ResultsError
 from trl_explore.report.catalogue import draw_all
 from trl_explore.report.claims_table import claims_table
 from trl_explore.report.evidence import gather
@@ -20,7 +20,7 @@ from trl_explore.report.results_tables import (
 )
 from trl_explore.report.tables import Table
 from trl_explore.report.why import why_tables
-from trl_explore.results import ResultsError
+from trl_explore.statistics.bootstrap import RESAMPLES
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
 

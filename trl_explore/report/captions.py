@@ -6,17 +6,17 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from trl_explore.analysis.outcomes import Outcomes
-from trl_explore.analysis.power import (
+from trl_explore.report import drawing
+from trl_explore.report.evidence import GroupEvidence
+from trl_explore.report.figures.axes import number
+from trl_explore.report.figures.power import Pair
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.power import (
     POWER,
     detectable_difference,
     fewest_pairs,
     trials_for_difference,
 )
-from trl_explore.report import drawing
-from trl_explore.report.evidence import GroupEvidence
-from trl_explore.report.figures.axes import number
-from trl_explore.report.figures.power import Pair
 
 
 def survival(e: GroupEvidence) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from trl_explore.analysis.claims import VERDICTS, Checked
 from trl_explore.report.labels import readable
 from trl_explore.report.tables import Column, Table
+from trl_explore.thesis import VERDICTS, Checked
 
 PLURAL = {"holds": "hold", "does not hold": "do not hold"}
 

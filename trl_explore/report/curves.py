@@ -10,18 +10,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from trl_explore.jobs.columns import EPISODES, ResultsError
+from trl_explore.jobs.reading import read_curves, read_episodes
+from trl_explore.jobs.records import read_diagnostics, read_evaluations
 from trl_explore.report.figures.learning import Row
 from trl_explore.report.groups import Group
 from trl_explore.report.loading import Gap, Job, gap
-from trl_explore.results import (
-    DIAGNOSTIC_COLUMNS,
-    EPISODES,
-    ResultsError,
-    read_curves,
-    read_diagnostics,
-    read_episodes,
-    read_evaluations,
-)
+from trl_explore.training.columns import DIAGNOSTIC_COLUMNS
 
 POINTS = 240
 """Most iterations at which a curve is drawn."""

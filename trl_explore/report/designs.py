@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from trl_explore.analysis.choices import NAMES, choice, choice_name
-from trl_explore.analysis.outcomes import Outcomes
 from trl_explore.report.labels import label_parts, swept_parameters, symbol
+from trl_explore.statistics.choices import NAMES, choice, choice_name
+from trl_explore.statistics.outcomes import Outcomes
 
 THESIS: Mapping[str, float] = {"epsilon": 0.0, "temperature": 1.0}
 """The thesis's softmax as a point of the family that mixes softmax with chance."""

@@ -9,17 +9,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from trl_explore.analysis.comparisons import Comparison
-from trl_explore.analysis.estimates import Estimate
-from trl_explore.analysis.outcomes import Outcomes
-from trl_explore.analysis.pairing import select
-from trl_explore.analysis.survival import convergence_times, kaplan_meier
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import forest, learning, power, survival, trials
 from trl_explore.report.figures.axes import few_ticks, wrapped
 from trl_explore.report.figures.epsilon_decay import plot_epsilon
 from trl_explore.report.groups import Group
 from trl_explore.report.style import WIDTH
+from trl_explore.statistics.comparisons import Comparison
+from trl_explore.statistics.estimates import Estimate
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.pairing import select
+from trl_explore.statistics.survival import convergence_times, kaplan_meier
 
 PANELS_PER_ROW = 2
 MOST_PAIRS = 15

@@ -8,21 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from trl_explore.analysis.answer import answer, because
-from trl_explore.analysis.bootstrap import RESAMPLES, streams
-from trl_explore.analysis.claims import Checked, Study, check_claims, why
-from trl_explore.analysis.comparisons import Comparison, compare_all, compare_pairs
-from trl_explore.analysis.effects import option_sentences, plane_sentences
-from trl_explore.analysis.estimates import LEVEL
-from trl_explore.analysis.outcomes import Outcomes
-from trl_explore.analysis.pairing import SharedTrials, shared_trials
-from trl_explore.analysis.power import fewest_pairs
-from trl_explore.analysis.summary import Summary, summarise_all
 from trl_explore.report.curves import Traces, read_traces
 from trl_explore.report.figures import learning
 from trl_explore.report.groups import Group, group_jobs
 from trl_explore.report.labels import readable
 from trl_explore.report.loading import Gap, Loaded
+from trl_explore.statistics.answer import answer, because
+from trl_explore.statistics.bootstrap import RESAMPLES, streams
+from trl_explore.statistics.comparisons import Comparison, compare_all, compare_pairs
+from trl_explore.statistics.effects import option_sentences, plane_sentences
+from trl_explore.statistics.estimates import LEVEL
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.pairing import SharedTrials, shared_trials
+from trl_explore.statistics.power import fewest_pairs
+from trl_explore.statistics.summary import Summary, summarise_all
+from trl_explore.thesis import Checked, Study, check_claims, why
 
 SEED = 20170101
 """Of every bootstrap and permutation of a report, so that it is the same when made twice."""

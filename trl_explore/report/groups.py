@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from trl_explore.analysis.outcomes import Outcomes
-from trl_explore.analysis.pairing import configuration_key, deduplicate, pool
 from trl_explore.report.designs import Crossed, Plane, crossed, plane
 from trl_explore.report.labels import (
     EXPERIMENTS,
@@ -19,6 +17,8 @@ from trl_explore.report.labels import (
 )
 from trl_explore.report.loading import Job, Timing
 from trl_explore.report.style import Style, option_styles, styles
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.pairing import configuration_key, deduplicate, pool
 
 GRIDS = ("epsilon_grid", "decay_grid", "temperature_grid")
 ORDER = (

@@ -6,9 +6,9 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from trl_explore.analysis.choices import NAMES, choice_name
-from trl_explore.analysis.outcomes import Outcomes
-from trl_explore.analysis.pairing import AGENT_GROUPS, NO_AGENT
+from trl_explore.statistics.choices import NAMES, choice_name
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.pairing import AGENT_GROUPS, NO_AGENT
 
 STRATEGIES = {
     "random": "random",

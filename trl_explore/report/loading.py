@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from trl_explore import results
-from trl_explore.analysis.outcomes import Outcomes
-from trl_explore.analysis.pairing import trial_keys
-from trl_explore.analysis.survival import convergence_times
-from trl_explore.results import ResultsError
+from trl_explore import jobs as results
+from trl_explore.jobs.columns import ResultsError
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.pairing import trial_keys
+from trl_explore.statistics.survival import convergence_times
 
 UNFINISHED = "not finished: still running, or interrupted"
 

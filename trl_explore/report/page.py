@@ -8,7 +8,6 @@ from html import escape
 from importlib.metadata import version
 from importlib.resources import files
 
-from trl_explore.analysis.claims import NOT_MEASURED
 from trl_explore.report import prose, why
 from trl_explore.report.catalogue import Drawn
 from trl_explore.report.claims_table import PLURAL, claims_table, tally
@@ -16,6 +15,7 @@ from trl_explore.report.evidence import SEED, Evidence, GroupEvidence
 from trl_explore.report.kinds import DIAGNOSTICS
 from trl_explore.report.tables import Table
 from trl_explore.report.theme import inline_svg, theme_css
+from trl_explore.thesis import NOT_MEASURED
 
 LONG_TABLE = 20
 HEROES = ("survival", "effects", "map-pass")

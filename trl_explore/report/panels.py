@@ -12,14 +12,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy import stats
 
-from trl_explore.analysis.estimates import Estimate
-from trl_explore.analysis.survival import convergence_times, kaplan_meier
 from trl_explore.report.drawing import PANELS_PER_ROW, new_figure
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import curves, effects, learning, plane, survival
 from trl_explore.report.figures.axes import few_ticks, handle, legend_above, spans_much
 from trl_explore.report.groups import Group
 from trl_explore.report.style import INK, Style
+from trl_explore.statistics.estimates import Estimate
+from trl_explore.statistics.survival import convergence_times, kaplan_meier
 
 
 @dataclass(frozen=True)

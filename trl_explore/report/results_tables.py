@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from trl_explore.analysis.power import trials_for_difference
 from trl_explore.report import drawing
 from trl_explore.report.evidence import Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
 from trl_explore.report.tables import Column, Record, Table
+from trl_explore.statistics.power import trials_for_difference
 
 
 def summary_table(evidence: GroupEvidence) -> Table:

@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 from html import escape
 from typing import Any
 
-from trl_explore.analysis.claims.why import Reexamined
-from trl_explore.analysis.summary import Summary
 from trl_explore.report.claims_table import claims_table
 from trl_explore.report.evidence import WHY, Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
 from trl_explore.report.labels import readable
 from trl_explore.report.layout_captions import level
 from trl_explore.report.tables import Column, Record, Table
+from trl_explore.statistics.summary import Summary
+from trl_explore.thesis.why import Reexamined
 
 EFFECTS = "effects"
 FIGURES = (EFFECTS, "kl", "effective_sample_size", "ratio_mean")

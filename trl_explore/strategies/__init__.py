@@ -1,28 +1,36 @@
 """Strategies: what a policy's preferences become when actions are really drawn."""
 
-from trl_explore.strategies.argmax import Argmax
-from trl_explore.strategies.base import Strategy, inverse_cdf
-from trl_explore.strategies.common import BaseStrategy
 from trl_explore.strategies.continuous import (
     ContinuousMixture,
     ContinuousMixtureStrategy,
     ContinuousStrategy,
+)
+from trl_explore.strategies.count_bonus import CountBonus
+from trl_explore.strategies.epsilon_greedy import (
+    DecayingEpsilonGreedy,
+    EpsilonGreedy,
+    EpsilonSoftmax,
+    MaxBoltzmann,
+)
+from trl_explore.strategies.epsilon_z_greedy import EpsilonZGreedy
+from trl_explore.strategies.gaussian import (
     EpsilonMean,
     EpsilonUniform,
     Gaussian,
     MeanAction,
     UniformAction,
 )
-from trl_explore.strategies.count_bonus import CountBonus
-from trl_explore.strategies.epsilon_greedy import DecayingEpsilonGreedy, EpsilonGreedy
-from trl_explore.strategies.epsilon_softmax import EpsilonSoftmax
-from trl_explore.strategies.epsilon_z_greedy import EpsilonZGreedy
-from trl_explore.strategies.full_mixture import FullMixture
-from trl_explore.strategies.max_boltzmann import MaxBoltzmann
-from trl_explore.strategies.mixture import Mixture, MixtureStrategy, mixture_probs
+from trl_explore.strategies.mixture import (
+    Argmax,
+    FullMixture,
+    Mixture,
+    MixtureStrategy,
+    Random,
+    Softmax,
+    mixture_probs,
+)
 from trl_explore.strategies.parameter_noise import ParameterNoise
-from trl_explore.strategies.random import Random
-from trl_explore.strategies.softmax import Softmax
+from trl_explore.strategies.strategy import BaseStrategy, Strategy, inverse_cdf
 from trl_explore.strategies.vdbe import VDBE
 
 __all__ = [

@@ -12,11 +12,11 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from trl_explore.checks import check_integer
-from trl_explore.ops import lane_linear
-from trl_explore.schedules import Schedule, as_schedule
-from trl_explore.strategies.common import check_trials
+from trl_explore.numerics.linear import lane_linear
+from trl_explore.numerics.streams import Stream, generator
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy, rows
-from trl_explore.streams import Stream, generator
+from trl_explore.strategies.schedules import Schedule, as_schedule
+from trl_explore.strategies.strategy import check_trials
 
 
 class CountBonus(MixtureStrategy):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from trl_explore.schedules import Exponential, Schedule, as_schedule
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
+from trl_explore.strategies.schedules import Exponential, Schedule, as_schedule
 
 
 class EpsilonGreedy(MixtureStrategy):
@@ -52,3 +52,83 @@ class DecayingEpsilonGreedy(EpsilonGreedy):
 
     def __init__(self, decay: float = 0.99, **options: Any) -> None:
         super().__init__(Exponential(1.0, decay), **options)
+
+
+class EpsilonSoftmax(MixtureStrategy):
+    """Softmax at a temperature with weight 1 − ε, uniform with weight ε.
+
+    μ(a|s) = (1 − ε) · softmax(logits / T)_a + ε / n_actions
+
+    The ε-soft form of the softmax policy (Sutton & Barto, §5.4: every action has at least
+    ε / n_actions). At T = 1 the ratio π/μ is at most 1 / (1 − ε).
+
+    Args:
+        epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
+        temperature: T > 0, likewise; it may fall to 0, the limit.
+        options: the arguments of ``Strategy``.
+
+    Raises:
+        ValueError: if ε leaves [0, 1] in any iteration, or T is not a positive number.
+
+    Example:
+        >>> import math, torch
+        >>> EpsilonSoftmax(0.2).probs(torch.tensor([0.0, math.log(3)]))
+        tensor([0.3000, 0.7000])
+    """
+
+    differentiable = True
+
+    def __init__(
+        self,
+        epsilon: float | Sequence[float] | Schedule = 0.1,
+        temperature: float | Sequence[float] | Schedule = 1.0,
+        **options: Any,
+    ) -> None:
+        super().__init__(**options)
+        self.epsilon = as_schedule("epsilon", epsilon, 0, 1)
+        self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
+
+    def mixture(self) -> Mixture:
+        """A point on the edge from softmax to uniform."""
+        epsilon = self.epsilon(self.iteration)
+        return Mixture(
+            softmax=1 - epsilon, uniform=epsilon, temperature=self.temperature(self.iteration)
+        )
+
+
+class MaxBoltzmann(MixtureStrategy):
+    """Argmax with weight 1 − ε, softmax at a temperature with weight ε.
+
+    μ(a|s) = (1 − ε) · 1[a ∈ A*] / |A*| + ε · softmax(logits / T)_a
+
+    (Wiering 1999, "Explorations in Efficient Reinforcement Learning", chapter 5, the Max-Boltzmann
+    rule). T → ∞ gives ε-greedy, ε = 1 softmax.
+
+    Args:
+        epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
+        temperature: T > 0, likewise; it may fall to 0, the limit.
+        options: the arguments of ``Strategy``.
+
+    Raises:
+        ValueError: if ε leaves [0, 1] in any iteration, or T is not a positive number.
+
+    Example:
+        >>> import math, torch
+        >>> MaxBoltzmann(0.4).probs(torch.tensor([0.0, math.log(3)]))
+        tensor([0.1000, 0.9000])
+    """
+
+    def __init__(
+        self,
+        epsilon: float | Sequence[float] | Schedule = 0.3,
+        temperature: float | Sequence[float] | Schedule = 1.0,
+        **options: Any,
+    ) -> None:
+        super().__init__(**options)
+        self.epsilon = as_schedule("epsilon", epsilon, 0, 1)
+        self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
+
+    def mixture(self) -> Mixture:
+        """A point on the edge from greedy to softmax."""
+        epsilon = self.epsilon(self.iteration)
+        return Mixture(1 - epsilon, epsilon, temperature=self.temperature(self.iteration))

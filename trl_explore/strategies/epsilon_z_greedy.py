@@ -13,10 +13,9 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from trl_explore.checks import check_integer, check_number
-from trl_explore.schedules import Schedule, as_schedule
-from trl_explore.strategies.base import Strategy, inverse_cdf
-from trl_explore.strategies.common import check_trials
 from trl_explore.strategies.mixture import Mixture, mixture_probs, rows
+from trl_explore.strategies.schedules import Schedule, as_schedule
+from trl_explore.strategies.strategy import Strategy, check_trials, inverse_cdf
 
 
 class EpsilonZGreedy(Strategy):

@@ -6,16 +6,15 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from functools import reduce
 from operator import add
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from trl_explore.schedules import Value
-from trl_explore.strategies.base import Strategy
-from trl_explore.strategies.common import rows
+from trl_explore.strategies.schedules import Schedule, Value, as_schedule
+from trl_explore.strategies.strategy import Strategy, rows
 
 
 class Mixture(NamedTuple):
@@ -124,3 +123,134 @@ def _weigh(corner: Tensor, weight: Value | Tensor) -> Tensor:
 
 def _any(weight: Value | Tensor) -> bool:
     return weight != 0 if isinstance(weight, int | float) else bool((weight != 0).any())
+
+
+class Random(MixtureStrategy):
+    """Uniform over the actions, whatever the policy prefers.
+
+    μ(a|s) = 1 / n_actions      (thesis, §2.2.1)
+
+    Example:
+        >>> import torch
+        >>> Random().probs(torch.tensor([0.0, 3.0]))
+        tensor([0.5000, 0.5000])
+    """
+
+    differentiable = True
+
+    def mixture(self) -> Mixture:
+        """The uniform corner."""
+        return Mixture(uniform=1.0)
+
+
+class Argmax(MixtureStrategy):
+    """The action that the policy prefers; ties share.
+
+    μ(a|s) = 1[a ∈ A*] / |A*|,   A* = argmax_a logits_a      (thesis, §2.2.2)
+
+    Example:
+        >>> import torch
+        >>> Argmax().probs(torch.tensor([0.0, 4.0, -1.0, 4.0]))
+        tensor([0.0000, 0.5000, 0.0000, 0.5000])
+    """
+
+    def mixture(self) -> Mixture:
+        """The greedy corner."""
+        return Mixture(greedy=1.0)
+
+
+class Softmax(MixtureStrategy):
+    """Softmax of the logits at a temperature; at T = 1 the policy itself, and the data on-policy.
+
+    μ(a|s) = exp(logits_a / T) / Σ_b exp(logits_b / T)      (Sutton & Barto, §2.8; thesis, §2.2.5)
+
+    The thesis prints exp(x^T); x / T is meant. T → 0 gives argmax, T → ∞ uniform.
+
+    Args:
+        temperature: T > 0, a number, one number per trial, or a schedule of the iteration, which
+            may fall to 0: the limit, argmax.
+        options: the arguments of ``Strategy``.
+
+    Raises:
+        ValueError: if T is not a positive number.
+
+    Example:
+        >>> import torch
+        >>> Softmax(temperature=2.0).probs(torch.tensor([0.0, 2.0])).sum()
+        tensor(1.)
+    """
+
+    differentiable = True
+
+    def __init__(
+        self, temperature: float | Sequence[float] | Schedule = 1.0, **options: Any
+    ) -> None:
+        super().__init__(**options)
+        self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
+
+    def mixture(self) -> Mixture:
+        """The softmax corner."""
+        return Mixture(softmax=1.0, temperature=self.temperature(self.iteration))
+
+
+Parameter = float | Sequence[float] | Schedule
+
+
+class FullMixture(MixtureStrategy):
+    """Argmax, softmax and uniform, each with a weight of its own.
+
+    μ(a|s) = (w_g · 1[a ∈ A*] / |A*| + w_s · softmax(logits / T)_a + w_u / n_actions) / W
+    with W = w_g + w_s + w_u
+
+    The weights are relative: the rule is to divide by their sum, in every iteration, so that each
+    may follow a schedule of its own. Every strategy of the thesis is a point of it.
+
+    Args:
+        greedy: w_g >= 0, a number, one number per trial, or a schedule of the iteration.
+        softmax: w_s >= 0, likewise.
+        uniform: w_u >= 0, likewise.
+        temperature: T > 0, likewise; it may fall to 0, the limit.
+        options: the arguments of ``Strategy``.
+
+    Raises:
+        ValueError: if a weight is negative, T is not a positive number, or all weights are 0.
+
+    Example:
+        >>> import torch
+        >>> FullMixture(greedy=2, softmax=0, uniform=2).probs(torch.tensor([0.0, 4.0]))
+        tensor([0.2500, 0.7500])
+    """
+
+    def __init__(
+        self,
+        greedy: Parameter = 0.4,
+        softmax: Parameter = 0.4,
+        uniform: Parameter = 0.2,
+        temperature: Parameter = 1.0,
+        **options: Any,
+    ) -> None:
+        super().__init__(**options)
+        self.greedy = as_schedule("greedy", greedy, 0, float("inf"))
+        self.softmax = as_schedule("softmax", softmax, 0, float("inf"))
+        self.uniform = as_schedule("uniform", uniform, 0, float("inf"))
+        self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
+        self.mixture()
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether the argmax has no share, in any iteration."""
+        return self.greedy.bounds[1] == 0
+
+    def mixture(self) -> Mixture:
+        """The weights divided by their sum."""
+        weights = [w(self.iteration) for w in (self.greedy, self.softmax, self.uniform)]
+        shapes = {np.shape(w) for w in weights} - {()}
+        if len(shapes) > 1:
+            raise ValueError(f"the weights have {sorted(s[0] for s in shapes)} values for trials")
+        total = weights[0] + weights[1] + weights[2]
+        if np.any(total == 0) or not np.all(np.isfinite(total)):
+            raise ValueError(
+                "greedy + softmax + uniform must be a positive number, "
+                f"got {total} in iteration {self.iteration}"
+            )
+        return Mixture(*(w / total for w in weights), temperature=self.temperature(self.iteration))

@@ -14,11 +14,11 @@ from torch import Tensor
 from torch.func import functional_call
 
 from trl_explore.checks import check_number
-from trl_explore.ops import lane_sum
-from trl_explore.schedules import Schedule, as_schedule
-from trl_explore.strategies.common import check_trials
+from trl_explore.numerics.score import lane_sum
+from trl_explore.numerics.streams import Stream, generator
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
-from trl_explore.streams import Stream, generator
+from trl_explore.strategies.schedules import Schedule, as_schedule
+from trl_explore.strategies.strategy import check_trials
 
 Parameters = dict[str, Tensor]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from trl_explore.analysis.estimates import Estimate
 from trl_explore.report.figures.axes import plain_numbers, wrapped
 from trl_explore.report.style import GRID, INK, Style
+from trl_explore.statistics.estimates import Estimate
 
 GAP = 0.9
 """Space between blocks, in rows."""

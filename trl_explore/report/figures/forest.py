@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from trl_explore.analysis.estimates import Estimate
 from trl_explore.report.figures.axes import legend_above, plain_numbers, wrapped
 from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style
+from trl_explore.statistics.estimates import Estimate
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from trl_explore.analysis.power import (
+from trl_explore.report.figures.axes import legend_above, plain_numbers
+from trl_explore.report.style import INK, MUTED
+from trl_explore.statistics.power import (
     POWER,
     detectable_difference,
     fewest_pairs,
     trials_for_difference,
 )
-from trl_explore.report.figures.axes import legend_above, plain_numbers
-from trl_explore.report.style import INK, MUTED
 
 COLOR = "#0072b2"
 

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from trl_explore.analysis.survival import SurvivalCurve, number_at_risk
 from trl_explore.report.figures.axes import plain_numbers, spans_much, wrapped
 from trl_explore.report.style import INK, MUTED, Style
+from trl_explore.statistics.survival import SurvivalCurve, number_at_risk
 
 MARKS = 9
 BANDS_UP_TO = 6

@@ -1,0 +1,202 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trl_explore.jobs import sweeps
+from trl_explore.jobs.checkpoint import Store, pack
+from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.lock import Lock
+from trl_explore.jobs.status import report, survey
+
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "status.py"
+REASON = "epsilon must be a number in [0, 1], got 2"
+CAP = {"config": {"max_iterations": 1000}}
+
+
+def finish(job: Path, **record) -> Path:
+    job.mkdir(parents=True)
+    (job / "run.json").write_text(json.dumps({**CAP, "iterations": 1000, "seconds": 2.5, **record}))
+    return job
+
+
+def begin(job: Path, *iterations: int) -> Path:
+    """A job with a checkpoint after each of these iterations."""
+    (job / ".hydra").mkdir(parents=True)
+    store, history = Store(job), {"score": np.zeros(0)}
+    for n in iterations:
+        store.save({**CAP, "iteration": n, "seconds": n / 100}, pack({}), history)
+    return job
+
+
+@pytest.fixture
+def sweep(tmp_path) -> Path:
+    """One job in each state; ``f2`` failed before it had a folder."""
+    sweep = tmp_path / "thesis"
+    finish(sweep / "done")
+    begin(sweep / "running", 100, 300, 200)
+    begin(sweep / "cut", 450)
+    sweeps.record_failure(begin(sweep / "f1", 50), "the disk is full")
+    sweeps.record_failure(sweep / "f2", REASON)
+    sweeps.record_failure(sweep / "done", "of an earlier attempt")
+    sweeps.begin_sweep(sweep, ["done", "running", "cut", "f1", "f2", "l1", "l2"])
+    return sweep
+
+
+def test_every_state(sweep):
+    with Lock(sweep / "running"):
+        (found,) = survey([sweep])
+    jobs = {job.name: (job.state, job.iterations, job.seconds) for job in found.jobs}
+    assert jobs == {
+        "done": ("done", 1000, 2.5),
+        "running": ("running", 300, 3.0),
+        "cut": ("cut off", 450, 4.5),
+        "f1": ("failed", 50, 0.5),
+        "f2": ("failed", None, None),
+        "l1": ("left", None, None),
+        "l2": ("left", None, None),
+    }
+    assert found.counts() == {"done": 1, "running": 1, "failed": 2, "cut off": 1, "left": 2}
+    assert survey([sweep])[0].counts()["running"] == 0  # the lock has gone
+
+
+def test_the_text(sweep):
+    with Lock(sweep / "running"):
+        lines = report(survey([sweep])[0]).splitlines()
+    assert lines[0] == f"{sweep}: 1 of 7 done, 1 running, 2 failed, 3 left (1 of them cut off)"
+    assert [line.split() for line in lines[1:]] == [
+        ["job", "state", "iterations", "seconds"],
+        ["cut", "cut", "off", "450", "of", "1,000", "4.5"],
+        ["done", "done", "1,000", "2.5"],
+        ["f1", "failed", "50", "of", "1,000", "0.5", "the", "disk", "is", "full"],
+        ["f2", "failed", "–", "–", *REASON.split()],
+        ["l1", "left", "–", "–"],
+        ["l2", "left", "–", "–"],
+        ["running", "running", "300", "of", "1,000", "3.0"],
+    ]
+
+
+def test_many_finished_jobs_are_only_counted(tmp_path):
+    for k in range(50):
+        finish(tmp_path / "s" / str(k))
+    begin(tmp_path / "s" / "cut", 1)
+    (found,) = survey([tmp_path])
+    assert [line.split()[0] for line in report(found).splitlines()[2:]] == ["cut"]
+    assert len(report(found, everything=True).splitlines()) == 2 + 51
+
+
+def test_any_folders(sweep, tmp_path):
+    """A job, a sweep, a folder of sweeps; what is given twice is told once."""
+    finish(tmp_path / "other" / "a")
+    assert [s.folder.name for s in survey([tmp_path])] == ["other", "thesis"]
+    (one,) = survey([sweep / "cut"])
+    assert [(job.name, job.state) for job in one.jobs] == [("cut", "cut off")]
+    (both,) = survey([sweep, sweep / "cut"])
+    assert len(both.jobs) == 7
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", "null", '{"seconds": "x"}', "\x00\xff",
+                                  '{"seconds": NaN, "iterations": true}', "[" * 10**5])  # fmt: skip
+def test_what_is_not_legible_is_not_known(sweep, text):
+    for path in (
+        sweep / "done" / "run.json",
+        sweep / "sweep.json",
+        sweep / ".failed" / "f1.json",
+        sweep / "cut" / "checkpoint" / "b.safetensors",
+    ):
+        path.write_text(text)
+    (found,) = survey([sweep])
+    jobs = {job.name: job for job in found.jobs}
+    assert jobs["done"].state == "done"
+    assert (jobs["done"].iterations, jobs["done"].seconds) == (None, None)
+    assert (jobs["cut"].state, jobs["cut"].iterations) == ("cut off", None)
+    assert jobs["f1"].reason == "the reason is not legible"
+    assert "Traceback" not in report(found)
+
+
+def test_names_from_files_are_no_paths_and_move_no_cursor(tmp_path):
+    sweep = tmp_path / "s"
+    finish(sweep / "a")
+    names = ["../x", "/etc", "..", "", 3, None, "fine", "red\033[31m"]
+    (sweep / "sweep.json").write_text(json.dumps({"jobs": names}))
+    (found,) = survey([sweep])
+    assert [job.name for job in found.jobs] == ["a", "fine", "red\033[31m"]
+    assert "red?[31m" in report(found)
+    assert "\033" not in report(found)
+
+
+def test_links_are_not_followed(tmp_path):
+    finish(tmp_path / "elsewhere" / "a")
+    finish(tmp_path / "here" / "b")
+    (tmp_path / "here" / "link").symlink_to(tmp_path / "elsewhere")
+    (found,) = survey([tmp_path / "here"])
+    assert [job.name for job in found.jobs] == ["b"]
+
+
+@pytest.mark.parametrize("what", ["absent", "empty", "file"])
+def test_nothing_there_is_one_line(tmp_path, what):
+    folder = tmp_path / "folder"
+    if what == "empty":
+        folder.mkdir()
+    elif what == "file":
+        folder.write_text("")
+    with pytest.raises(ResultsError, match=str(folder)):
+        survey([folder])
+    done = subprocess.run([sys.executable, SCRIPT, folder], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (1, "", 1)
+
+
+def test_the_command_needs_neither_torch_nor_pandas(sweep, tmp_path):
+    for module in ("torch", "pandas", "hydra"):
+        (tmp_path / "stub" / module).mkdir(parents=True)
+        (tmp_path / "stub" / module / "__init__.py").write_text("raise SystemExit('imported')")
+    path = os.pathsep.join([str(tmp_path / "stub"), str(SCRIPT.parent.parent)])
+    done = subprocess.run(
+        [sys.executable, SCRIPT, sweep],
+        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"{sweep}: 1 of 7 done")
+
+
+# What train.py writes for it
+
+
+def test_an_earlier_sweep_that_is_not_done_stays_listed(tmp_path):
+    sweeps.begin_sweep(tmp_path, [])
+    finish(tmp_path / "a")
+    sweeps.begin_sweep(tmp_path, ["a", "b"])
+    sweeps.begin_sweep(tmp_path, ["c"])
+    assert sweeps.read_asked(tmp_path) == ["c", "b"]
+    finish(tmp_path / "b")
+    sweeps.end_sweep(tmp_path)
+    assert sweeps.read_asked(tmp_path) == ["c", "b"]
+    finish(tmp_path / "c")
+    sweeps.end_sweep(tmp_path)
+    assert not (tmp_path / "sweep.json").exists()
+
+
+def test_a_sweep_of_which_nothing_could_begin_leaves_no_folder(tmp_path):
+    sweep = tmp_path / "s"
+    sweep.mkdir()
+    sweeps.begin_sweep(sweep, ["a"])
+    (sweep / "multirun.yaml").write_text("")
+    sweeps.record_failure(sweep / "a", "wrong")
+    sweeps.end_sweep(sweep)
+    assert not sweep.exists()
+
+
+def test_a_failure_is_forgotten_when_the_job_is_finished(tmp_path):
+    sweeps.record_failure(tmp_path / "a", "wrong")
+    sweeps.record_failure(tmp_path / "b", "wrong too")
+    sweeps.forget_failure(tmp_path / "a")
+    assert sweeps.read_failures(tmp_path) == {"b": "wrong too"}
+    sweeps.forget_failure(tmp_path / "b")
+    sweeps.forget_failure(tmp_path / "b")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,119 @@
+"""Timing single trials of a real sweep."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.reading import read_timings
+from trl_explore.jobs.writing import write_timings
+from trl_explore.report.loading import load
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory, run_cli) -> Path:
+    out = tmp_path_factory.mktemp("timed")
+    done = run_cli(
+        "-m", "strategy=softmax,argmax", "trials=3", "max_iterations=4", "score_window=2",
+        f"output_dir={out}", cwd=out,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return out / "train"
+
+
+@pytest.fixture
+def time_trials(request) -> Callable[..., subprocess.CompletedProcess[str]]:
+    script = request.config.rootpath / "scripts" / "time_trials.py"
+
+    def run(*args: Path | str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, str(script), *map(str, args)]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    return run
+
+
+def test_each_trial_runs_again_by_itself_with_the_frames_it_had(sweep, time_trials):
+    done = time_trials(sweep, "--trials", "2")
+    assert done.returncode == 0, done.stderr
+    timings = read_timings(sweep)
+    assert timings is not None
+    assert len(timings) == 4
+    assert set(timings["trial"]) == {0, 1}
+    assert (timings["seconds"] > 0).all()
+    for job in load([sweep]).jobs:
+        mine = timings[timings["job"] == job.folder.name]
+        assert mine["frames"].tolist() == job.outcomes.frames[:2].tolist()
+        assert job.timing is not None
+        assert job.timing.trial.tolist() == [0, 1]
+
+
+def test_timings_of_other_jobs_stay(sweep, time_trials):
+    assert time_trials(sweep, "--trials", "3").returncode == 0
+    before = read_timings(sweep)
+    job = next(path for path in sweep.iterdir() if path.name.startswith("softmax"))
+    done = time_trials(job, "--trials", "1")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("1 trials timed\n")
+    after = read_timings(sweep)
+    assert before is not None
+    assert after is not None
+    others = before["job"] != job.name
+    assert sum(others) == 3
+    kept = after[after["job"] != job.name].reset_index(drop=True)
+    assert kept.equals(before[others].reset_index(drop=True))
+    assert after.loc[after["job"] == job.name, "trial"].tolist() == [0]
+
+
+def test_a_threshold_that_gymnasium_registers_is_found_again(run_cli, tmp_path, time_trials):
+    out = tmp_path / "registered"
+    done = run_cli(
+        "env=gym", "env.id=Acrobot-v1", "env.max_steps=20", "trials=2", "max_iterations=3",
+        f"output_dir={out}", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    done = time_trials(out)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    "line", ["strategy._target_=os.system", "+evil=1", "hydra.run.dir=elsewhere", "strategy=a,b"]
+)
+def test_a_recorded_configuration_is_not_trusted(sweep, time_trials, line):
+    job = next(path for path in sweep.iterdir() if path.name.startswith("softmax"))
+    recorded = job / ".hydra" / "overrides.yaml"
+    before = recorded.read_text()
+    recorded.write_text(f"{before}- {line}\n")
+    try:
+        done = time_trials(job)
+    finally:
+        recorded.write_text(before)
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert done.stderr.startswith("error:")
+
+
+def test_nothing_to_time_is_one_line(tmp_path, time_trials):
+    done = time_trials(tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == [f"error: {tmp_path}: no finished job"]
+
+
+def test_timings_are_read_as_they_were_written(tmp_path):
+    timings = pd.DataFrame({"experiment": ["e"], "job": ["1.0"], "trial": [3], "seconds": [0.25],
+                            "frames": [17]})  # fmt: skip
+    write_timings(tmp_path, timings)
+    pd.testing.assert_frame_equal(read_timings(tmp_path), timings, check_dtype=False)
+    assert [p.name for p in tmp_path.iterdir()] == ["timings.csv"]
+
+
+@pytest.mark.parametrize("rows", ["e,j,0,x,1", "e,j,0,-1,1", "e,j,0", "e,j,0,1,1\ne,j,0,2,1"])
+def test_foreign_timings_are_refused(tmp_path, rows):
+    (tmp_path / "timings.csv").write_text(f"experiment,job,trial,seconds,frames\n{rows}\n")
+    with pytest.raises(ResultsError, match=r"timings\.csv"):
+        read_timings(tmp_path)

@@ -1,0 +1,569 @@
+"""``scripts/train.py`` as a user meets it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from safetensors.numpy import load_file
+
+from trl_explore.jobs.columns import EPISODE_COLUMNS, TRIAL_COLUMNS
+from trl_explore.jobs.reading import read_frame, read_jobs
+
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "train.py"
+NAMES = {
+    "random": "random",
+    "argmax": "argmax",
+    "epsilon_greedy": "epsilon_greedy,epsilon=0.3",
+    "decaying_epsilon_greedy": "decaying_epsilon_greedy,decay=0.99",
+    "softmax": "softmax,temperature=1.0",
+}
+STRATEGIES = list(NAMES)
+RESULTS = {"trials.csv", "episodes.csv", "run.json", "weights.safetensors", "scalars"}
+
+
+def complaints(process) -> list[str]:
+    """What stands on stderr, apart from the line that says which collector serves."""
+    return [line for line in process.stderr.splitlines() if not line.startswith("collector: ")]
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def snapshot(folder: Path) -> dict[str, tuple[bytes, int]]:
+    """Every file below a folder: contents and time of its last change.
+
+    Without ``multirun.yaml``, which Hydra writes beside the jobs whenever a sweep is launched.
+    """
+    return {
+        str(path.relative_to(folder)): (path.read_bytes(), path.stat().st_mtime_ns)
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != "multirun.yaml"
+    }
+
+
+def payload(job: Path) -> dict[str, str]:
+    """What a job's files say, apart from wall times: seconds, run.json and Hydra's own."""
+    files = {
+        str(path.relative_to(job)): path.read_bytes().hex()
+        for path in sorted(job.rglob("*"))
+        if path.is_file() and path.name != "run.json" and ".hydra" not in path.parts
+    }
+    table = pd.read_csv(job / "trials.csv", dtype=str).drop(columns="seconds")
+    return {**files, "trials.csv": table.to_csv()}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("cli")
+
+
+@pytest.fixture(scope="module")
+def sweep(place, run_cli):
+    """A real multirun from a folder of the user's; what it printed."""
+    return run_cli(
+        "-m", "experiment=debug", f"strategy={','.join(STRATEGIES)}", "score_threshold=40",
+        cwd=place,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(place, sweep) -> Path:
+    assert sweep.returncode == 0, sweep.stderr
+    return place / "outputs" / "debug"
+
+
+def job_of(folder: Path, strategy: str) -> Path:
+    return folder / f"{NAMES[strategy]},score_threshold=40.0"
+
+
+# A sweep
+
+
+def test_a_sweep_prints_one_table_and_the_place(sweep, folder):
+    header, _, *rows, place = sweep.stdout.splitlines()[-8:]
+    assert header.startswith("job")
+    assert [row.split()[0] for row in rows] == [job_of(folder, s).name for s in STRATEGIES]
+    assert [row.split()[1] for row in rows] == ["3"] * 5
+    assert place.startswith("results: ")
+    shown = Path(place.removeprefix("results: "))
+    assert folder.parent.parent.joinpath(shown).samefile(folder)
+
+
+def test_a_sweep_is_quiet_without_a_terminal(sweep):
+    assert complaints(sweep) == []
+    assert set("\r\033").isdisjoint(sweep.stdout + sweep.stderr)
+
+
+def test_a_sweep_leaves_one_folder_for_each_job(folder):
+    jobs = {job_of(folder, strategy).name for strategy in STRATEGIES}
+    assert {path.name for path in folder.iterdir() if path.is_dir()} == jobs
+    for strategy in STRATEGIES:
+        job = job_of(folder, strategy)
+        assert names(job) == RESULTS | {".hydra"}
+        assert names(job / ".hydra") == {"config.yaml", "hydra.yaml", "overrides.yaml"}
+        run = json.loads((job / "run.json").read_text())
+        assert run["status"] == "finished"
+        assert (run["experiment"], run["strategy"]) == ("debug", strategy)
+        assert run["config"]["score_threshold"] == 40
+        assert f"strategy={strategy}" in (job / ".hydra" / "overrides.yaml").read_text()
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_the_files_of_a_job_agree_with_each_other(folder, strategy):
+    job = job_of(folder, strategy)
+    trials = pd.read_csv(job / "trials.csv")
+    episodes = pd.read_csv(job / "episodes.csv")
+    assert tuple(trials) == TRIAL_COLUMNS
+    assert tuple(episodes) == EPISODE_COLUMNS
+    assert trials["trial"].tolist() == [0, 1, 2]
+    assert (trials["seed"] == 0).all()
+    assert trials["seconds"].between(0, 60, inclusive="neither").all()
+    order = episodes.sort_values(["iteration", "trial"], kind="stable")
+    assert order.index.tolist() == episodes.index.tolist()
+    for row in trials.itertuples():
+        mine = episodes[episodes["trial"] == row.trial]
+        assert mine["iteration"].tolist() == list(range(1, row.iterations + 1))
+        assert (mine["score"] == mine["frames"]).all()  # CartPole pays 1 for each frame
+        assert mine["frames"].sum() == row.frames
+        means = mine["score"].rolling(10).mean()
+        assert row.score == pytest.approx(mine["score"].tail(10).mean(), abs=1e-9)
+        passed = (means > 40).to_numpy()
+        assert row.converged == passed[-1]
+        assert not passed[:-1].any()
+        assert row.status == ("converged" if row.converged else "capped")
+        assert row.iterations == 20 or row.converged
+    iterations = trials["iterations"].max()
+    for curve in ("episode_score", "score", "active", "converged"):
+        lines = (job / "scalars" / f"{curve}.csv").read_text().splitlines()
+        assert [int(line.split(",")[0]) for line in lines] == list(range(1, iterations + 1))
+    first = episodes[episodes["iteration"] == 1]["score"].mean()
+    text = (job / "scalars" / "episode_score.csv").read_text().splitlines()[0]
+    assert float(text.split(",")[1]) == pytest.approx(first)
+    (weight,) = load_file(job / "weights.safetensors").values()
+    assert weight.shape == (3, 2, 4)
+    assert np.isfinite(weight).all()
+
+
+def test_a_sweep_reads_back_as_one_frame(folder):
+    frame = read_frame([folder])
+    assert len(frame) == 15
+    assert set(frame["strategy"]) == set(STRATEGIES)
+    assert len(read_jobs([folder.parent])) == 5
+
+
+# Again, otherwise
+
+
+@pytest.fixture(scope="module")
+def others(place, folder, run_many):
+    """The same trials in other jobs: another order, alone, with other threads and collectors."""
+    debug = ["experiment=debug", "score_threshold=40"]
+    some = ["decaying_epsilon_greedy", "softmax"]
+    commands = [
+        ["-m", *debug, f"strategy={','.join(reversed(STRATEGIES))}", "output_dir=reversed"],
+        *(
+            [*debug, f"strategy={strategy}", f"first_trial={trial}", "trials=1", "output_dir=alone"]
+            for strategy in some
+            for trial in (0, 2)
+        ),
+        [*debug, "threads=2", "output_dir=threads"],
+        [*debug, "collector=torchrl", "output_dir=torchrl"],
+        [*debug, "episodes=false", "output_dir=silent"],
+    ]
+    ran = run_many(commands, cwd=place)
+    assert [(process.returncode, complaints(process)) for process in ran] == [(0, [])] * len(
+        commands
+    )
+    return place
+
+
+def test_the_order_of_jobs_does_not_matter(folder, others):
+    for strategy in STRATEGIES:
+        job, other = job_of(folder, strategy), job_of(others / "reversed" / "debug", strategy)
+        assert payload(other) == payload(job)
+        runs = [json.loads((path / "run.json").read_text()) for path in (job, other)]
+        for run in runs:
+            del run["seconds"], run["config"]["output_dir"]
+            del run["files"]["trials.csv"]["sha256"]  # it has a column of seconds
+        assert runs[0] == runs[1]
+
+
+@pytest.mark.parametrize("strategy", ["decaying_epsilon_greedy", "softmax"])
+@pytest.mark.parametrize("trial", [0, 2])
+def test_a_trial_alone_is_the_trial_of_the_batch(folder, others, strategy, trial):
+    suffix = (
+        f"{NAMES[strategy]}," + (f"first_trial={trial}," if trial else "") + "score_threshold=40.0"
+    )
+    alone, batch = others / "alone" / "debug" / f"{suffix},trials=1", job_of(folder, strategy)
+    for name, drop in (("trials.csv", ["seconds"]), ("episodes.csv", [])):
+        one, many = (
+            pd.read_csv(job / name, dtype=str).drop(columns=drop) for job in (alone, batch)
+        )
+        many = many[many["trial"] == str(trial)].reset_index(drop=True)
+        pd.testing.assert_frame_equal(one, many)
+    one, many = (load_file(job / "weights.safetensors") for job in (alone, batch))
+    for name, weight in one.items():
+        np.testing.assert_array_equal(weight[0], many[name][trial])
+
+
+def test_threads_do_not_matter(folder, others):
+    (job,) = (others / "threads" / "debug").iterdir()
+    assert job.name == job_of(folder, "softmax").name
+    assert payload(job) == payload(job_of(folder, "softmax"))
+
+
+def test_collectors_give_the_same_episodes(folder, others):
+    (job,) = (others / "torchrl" / "debug").iterdir()
+    assert "collector=torchrl" in job.name.split(",")
+    assert json.loads((job / "run.json").read_text())["collector"] == "TorchRLCollector"
+    name = "episodes.csv"
+    assert (job / name).read_bytes() == (job_of(folder, "softmax") / name).read_bytes()
+
+
+def test_episodes_can_be_switched_off(folder, others):
+    (job,) = (others / "silent" / "debug").iterdir()
+    expected = payload(job_of(folder, "softmax"))
+    del expected["episodes.csv"]
+    assert payload(job) == expected
+
+
+# Again, the same
+
+
+def test_a_finished_folder_is_left_alone(place, folder, run_many):
+    before = snapshot(place)
+    debug = ["experiment=debug", "score_threshold=40"]
+    job = job_of(folder, "softmax")
+    ran = run_many(
+        [
+            ["-m", *debug, f"strategy={','.join(STRATEGIES)}"],
+            debug,
+            [*debug, "score_threshold=40.0", "strategy.temperature=1"],
+            [*debug, f"hydra.run.dir='{job}'", "seed=1", "strategy.temperature=2"],
+        ],
+        cwd=place,
+    )
+    again, single, spelt, foreign = ran
+    for process in (again, single, spelt):
+        assert (process.returncode, complaints(process)) == (0, [])
+    assert again.stdout.count("finished before, nothing to do (restart=true begins anew)") == 5
+    assert [line.split()[0] for line in again.stdout.splitlines()[-6:-1]] == [
+        job_of(folder, strategy).name for strategy in STRATEGIES
+    ]
+    for process in (single, spelt):
+        assert f"{job.name}: finished before" in process.stdout
+        assert "results: " in process.stdout
+    assert foreign.returncode == 1
+    (line,) = complaints(foreign)
+    assert "holds a job of another configuration" in line
+    assert "seed: 0 there, 1 here" in line
+    assert "strategy.temperature: 1.0 there, 2 here" in line
+    assert "restart=true" in line
+    assert snapshot(place) == before
+
+
+def test_restart_begins_anew(folder, run_many, tmp_path):
+    shutil.copytree(folder, tmp_path / "outputs" / "debug")
+    job = job_of(tmp_path / "outputs" / "debug", "softmax")
+    before, finished = payload(job), snapshot(job)
+    (job / "episodes.csv").write_text("spoilt")
+    (job / "scalars" / "old.csv").write_text("1,2\n")
+    same, other = run_many(
+        [
+            ["experiment=debug", "score_threshold=40", "restart=true"],
+            ["experiment=debug", f"hydra.run.dir='{job}'", "seed=1", "restart=true"],
+        ],
+        cwd=tmp_path,
+    )
+    assert (same.returncode, complaints(same)) == (0, [])
+    assert "finished before" not in same.stdout
+    assert (other.returncode, complaints(other)) == (0, [])
+    assert (pd.read_csv(job / "trials.csv")["seed"] == 1).all()
+    assert snapshot(job).keys() == finished.keys()
+    assert payload(job) != before
+
+
+def test_restart_gives_the_same_results(folder, run_many, tmp_path):
+    job = job_of(tmp_path / "debug", "argmax")
+    shutil.copytree(job_of(folder, "argmax"), job)
+    before = snapshot(job)
+    (job / "trials.csv").write_text("spoilt")
+    (ran,) = run_many(
+        [
+            [
+                "experiment=debug", "score_threshold=40", "strategy=argmax",
+                f"output_dir={tmp_path}", "restart=true",
+            ]
+        ],
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert (ran.returncode, complaints(ran)) == (0, [])
+    assert payload(job) == payload(job_of(folder, "argmax"))
+    after = snapshot(job)
+    assert after.keys() == before.keys()
+    assert all(after[name][1] > before[name][1] for name in after)
+
+
+def test_an_unfinished_job_is_run(folder, run_many, tmp_path):
+    """What an interrupted job left behind neither counts nor stays."""
+    job = job_of(tmp_path / "debug", "softmax")
+    shutil.copytree(job_of(folder, "softmax"), job)
+    (job / "run.json").unlink()
+    (job / "trials.csv").write_text("trial,seed\n")
+    (ran,) = run_many(
+        [["experiment=debug", "score_threshold=40", f"output_dir={tmp_path}"]], tmp_path
+    )
+    assert (ran.returncode, complaints(ran)) == (0, [])
+    assert "finished before" not in ran.stdout
+    assert payload(job) == payload(job_of(folder, "softmax"))
+
+
+def test_a_damaged_record_is_one_line(folder, run_many, tmp_path):
+    job = job_of(tmp_path / "debug", "softmax")
+    shutil.copytree(job_of(folder, "softmax"), job)
+    (job / "run.json").write_text("{")
+    before = snapshot(job)
+    (ran,) = run_many(
+        [["experiment=debug", "score_threshold=40", f"output_dir={tmp_path}"]], tmp_path
+    )
+    assert ran.returncode == 1
+    (line,) = complaints(ran)
+    assert "run.json" in line
+    assert snapshot(job) == before
+
+
+def test_an_interrupted_job_leaves_no_results(tmp_path):
+    command = [
+        "experiment=debug", "strategy=random", "max_iterations=1000000", "score_threshold=1e9",
+        "collector=torchrl", f"output_dir={tmp_path}",
+    ]  # fmt: skip
+    with subprocess.Popen(
+        [sys.executable, str(SCRIPT), *command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        deadline = time.monotonic() + 60
+        while not list(tmp_path.glob("*/*/.hydra/overrides.yaml")):
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130
+    (line,) = stderr.splitlines()
+    assert line.startswith("interrupted")
+    assert not results_below(tmp_path)
+
+
+# Wrong input
+
+
+def results_below(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob("*") if path.name in RESULTS]
+
+
+WRONG = {
+    f"seed={2**63}": "seed must be an integer <= 9223372036854775807",
+    f"first_trial={2**63 - 1} trials=2": "first_trial must be an integer <=",
+    "trials=100000000000": "trials must be an integer <=",
+    "env.max_steps=1000000000000": "max_steps must be an integer <=",
+    "episodes=maybe": "episodes must be true or false, got 'maybe'",
+    "restart=perhaps": "restart must be true or false, got 'perhaps'",
+    "~loss.gamma": "'loss.gamma' has been removed",
+    "strategy=null": "strategy",
+    "collector=fused env=taxi +env.kwargs.fickle_passenger=true": "does not serve fickle_passenger",
+    "strategy=thompson": "strategy=thompson",
+    "strategy=epsilon_greedy strategy.epsilon=1.5": "in [0, 1], got 1.5",
+    "strategy=epsilon_greedy strategy.epsilon=-0.1": "in [0, 1], got -0.1",
+    "strategy=epsilon_greedy strategy.epsilon=nan": "in [0, 1], got nan",
+    "strategy=epsilon_greedy strategy.epsilon=[0.1,0.2]": "has 2 values, but there are 3 trials",
+    "strategy=decaying_epsilon_greedy strategy.decay=1.01": "in [0, 1], got 1.01",
+    "strategy.temperature=0": "temperature must be a number > 0, got 0",
+    "strategy.temperature=-2": "temperature must be a number > 0, got -2",
+    "strategy.temperature=nan": "temperature must be a number > 0, got nan",
+    "strategy.temperature=[1": "[1",
+    "trials=0": "trials must be an integer >= 1, got 0",
+    "trials=x": "trials must be an integer >= 1, got 'x'",
+    "first_trial=-1": "first_trial must be an integer >= 0, got -1",
+    "seed=-1": "seed must be an integer >= 0, got -1",
+    "max_iterations=0": "max_iterations must be an integer >= 1, got 0",
+    "score_window=0": "score_window must be an integer >= 1, got 0",
+    "score_threshold=nan": "score_threshold must be a number that is finite, got nan",
+    "optimizer.lr=-0.05": "lr must be a number > 0, got -0.05",
+    "optimizer.lr=nan": "lr must be a number > 0, got nan",
+    "optimizer=lion": "optimizer=lion",
+    "loss.gamma=1.5": "gamma must be a number in [0, 1], got 1.5",
+    "loss.gamma=nan": "gamma must be a number in [0, 1], got nan",
+    "loss.reduction=mean": "mean",
+    "env=pong": "env=pong",
+    "env=gym": "env.id must be set",
+    "env=gym env.id=NoSuch-v7": "NoSuch-v7",
+    "env=gym env.id=Taxi-v3": "Taxi-v3",
+    "env=gym env.id=Pendulum-v1": "continuous actions, not served by Softmax and LinearPolicy",
+    "env=gym env.id=Blackjack-v1": "Blackjack-v1",
+    "env=gym env.id=CliffWalking-v1": "set max_steps",
+    "env.max_steps=0": "max_steps must be an integer >= 1, got 0",
+    "env.max_steps=nan": "max_steps must be an integer >= 1, got nan",
+    "foo=1": "'foo'",
+    "+foo=1": "'foo'",
+    "++foo=1": "'foo'",
+    "strategy.foo=1": "'strategy.foo'",
+    "env.kwargs={render_mode:rgb}": "a + adds it: +env.kwargs={render_mode:rgb}",
+    "env.attributes.gravity=3.7": "a + adds it: +env.attributes.gravity=3.7",
+    "+strategy.foo=1": "'strategy.foo'",
+    "+loss.lr=1": "'loss.lr'",
+    "+env.kwargs.foo=1": "foo",
+    "~optimizer.lr": "lr",
+    "~trials": "trials",
+    "collector=warp": "collector=warp",
+    "experiment=nope": "experiment=nope",
+    "-m strategy=softmax,thompson trials=0": "",
+    "output_dir={file}/x": "{file}/x",
+    "output_dir=/proc/no/where": "cannot write /proc/no",
+    "nonsense": "nonsense",
+}
+
+
+@pytest.fixture(scope="module")
+def refused(tmp_path_factory, run_many):
+    """Every wrong command, each with an output folder of its own."""
+    place = tmp_path_factory.mktemp("wrong")
+    (place / "file").write_text("a file")
+    commands = []
+    for k, text in enumerate(WRONG):
+        arguments = text.replace("{file}", str(place / "file")).split()
+        experiment = [] if "experiment=" in text else ["experiment=debug"]
+        output = [] if "output_dir=" in text else [f"output_dir={place / str(k)}"]
+        commands.append([*experiment, *output, *arguments])
+    return place, dict(zip(WRONG, run_many(commands, cwd=place), strict=True))
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_wrong_input_is_one_line(refused, text):
+    place, ran = refused
+    process = ran[text]
+    assert process.returncode not in (0, None)
+    assert "Traceback" not in process.stderr + process.stdout
+    if text.startswith("-m"):
+        return
+    (line,) = complaints(process)
+    assert line.startswith("error: ")
+    assert WRONG[text].replace("{file}", str(place / "file")) in line
+    assert process.stdout == ""
+
+
+def test_wrong_input_leaves_no_results(refused):
+    place, _ = refused
+    assert results_below(place) == []
+    assert (place / "file").read_text() == "a file"
+
+
+def test_wrong_input_leaves_no_folder_of_jobs(refused):
+    place, ran = refused
+    left = {text: list((place / str(k)).glob("*")) for k, text in enumerate(ran) if text[0] != "-"}
+    assert {text: folders for text, folders in left.items() if folders} == {}
+
+
+def test_a_sweep_may_be_asked_for_anywhere(run_many, tmp_path):
+    debug = ["experiment=debug", "max_iterations=1", f"output_dir={tmp_path}"]
+    (process,) = run_many([[*debug, "-m", "strategy=random,argmax"]], cwd=tmp_path)
+    assert (process.returncode, complaints(process)) == (0, [])
+    assert "random" in process.stdout
+    assert "argmax" in process.stdout
+
+
+def test_wrong_input_in_a_process_of_its_own(run_cli, tmp_path):
+    process = run_cli("strategy=epsilon_greedy", "strategy.epsilon=2", cwd=tmp_path)
+    assert process.returncode == 1
+    assert process.stdout == ""
+    assert process.stderr == "error: strategy: epsilon must be a number in [0, 1], got 2\n"
+    assert not results_below(tmp_path)
+
+
+def test_a_sweep_over_schedules(run_many, tmp_path):
+    debug = ["experiment=debug", f"output_dir={tmp_path}", "strategy=softmax"]
+    kinds = "+schedule@strategy.temperature=linear,cosine"
+    (ran,) = run_many([["-m", *debug, kinds, "++strategy.temperature.initial=5"]], tmp_path)
+    assert (ran.returncode, complaints(ran)) == (0, [])
+    rest = "temperature.final=0.1,temperature.initial=5.0,temperature.iterations=500"
+    expected = {f"softmax,temperature={kind},{rest}" for kind in ("linear", "cosine")}
+    assert {path.name for path in (tmp_path / "debug").iterdir() if path.is_dir()} == expected
+    assert len(read_jobs([tmp_path])) == 2
+
+
+def test_one_wrong_job_does_not_stop_a_sweep(run_many, tmp_path):
+    (ran,) = run_many(
+        [
+            [
+                "-m", "experiment=debug", "strategy=epsilon_greedy",
+                "strategy.epsilon=0.1,2,0.4", f"output_dir={tmp_path}",
+            ]
+        ],
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert ran.returncode == 1
+    reason = "epsilon_greedy,epsilon=2.0: strategy: epsilon must be a number in [0, 1], got 2"
+    assert complaints(ran) == [f"error: {reason}", "1 of 3 jobs failed:", f"  {reason}"]
+    finished = {path.parent.name for path in results_below(tmp_path) if path.name == "run.json"}
+    assert finished == {"epsilon_greedy,epsilon=0.1", "epsilon_greedy,epsilon=0.4"}
+    assert len(ran.stdout.splitlines()) == 5  # header, rule, two jobs, place
+
+
+# Help
+
+
+def test_help_and_configuration_without_torch(run_many, tmp_path):
+    helped, shown, sweep = run_many(
+        [
+            ["--help"],
+            ["--cfg", "job", "--resolve", "strategy=epsilon_greedy", "optimizer.lr=0.25"],
+            ["--cfg", "job", "--resolve", "experiment=epsilon_grid"],
+        ],
+        cwd=tmp_path,
+    )
+    for process in (helped, shown, sweep):
+        assert (process.returncode, complaints(process)) == (0, [])
+        assert not process.torch
+    for text in (
+        "python scripts/train.py -m",
+        "strategy: argmax, ",
+        "experiment: baselines, ",
+        "trials: 30",
+    ):
+        assert text in helped.stdout
+    assert "epsilon: 0.3" in shown.stdout
+    assert "weight: 0.25" in shown.stdout
+    assert "trials: 20" in sweep.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_tab_completion_without_torch(run_cli, tmp_path):
+    line = "python scripts/train.py strategy="
+    (tmp_path / "torch").mkdir()
+    (tmp_path / "torch" / "__init__.py").write_text("raise SystemExit('torch was imported')")
+    process = run_cli(
+        "-sc",
+        "query=bash",
+        cwd=tmp_path,
+        environment={
+            "COMP_LINE": line,
+            "COMP_POINT": str(len(line)),
+            "COMP_CWORD": "2",
+            "PYTHONPATH": f"{tmp_path}:{SCRIPT.parent.parent}",
+        },
+    )
+    assert process.returncode == 0, process.stderr
+    assert set(process.stdout.split()) >= {f"strategy={strategy}" for strategy in STRATEGIES}
+    assert "torch was imported" not in process.stderr

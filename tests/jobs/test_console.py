@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+
+from trl_explore.jobs import console
+from trl_explore.jobs.console import Progress, duration, table, warnings
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.training.record import Trials
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def trials() -> Trials:
+    """Two trials after two of ten iterations; one has converged."""
+    trials = Trials(2, max_iterations=10, score_threshold=5, score_window=2)
+    for scores in ([4.0, 3.0], [8.0, 3.0]):
+        trials.record(np.array(scores), np.array([500, 250]), np.array([False] * 2), 1.0)
+    return trials
+
+
+@pytest.fixture
+def clock(monkeypatch) -> list[float]:
+    now = [100.0]
+    monkeypatch.setattr(console.time, "perf_counter", lambda: now[0])
+    return now
+
+
+def test_quiet_where_nobody_watches(trials, clock):
+    stream = io.StringIO()
+    progress = Progress("softmax", stream)
+    clock[0] += 60
+    progress(trials)
+    progress.close()
+    assert stream.getvalue() == ""
+
+
+def test_the_live_line(trials, clock):
+    stream = Terminal()
+    progress = Progress("softmax", stream)
+    clock[0] += 3.0
+    progress(trials)
+    line = stream.getvalue()
+    assert line.startswith("\rsoftmax: iteration 2, converged 1/2, mean score 4.5, 500 frames/s")
+    assert "at most 12 s left" in line  # 3 s for 2 iterations, 8 to go
+    assert "\n" not in line
+
+
+def test_the_live_line_is_refreshed_at_intervals(trials, clock):
+    stream = Terminal()
+    progress = Progress("softmax", stream)
+    lengths = []
+    for _ in range(8):
+        clock[0] += console.REFRESH * 0.4
+        progress(trials)
+        lengths.append(len(stream.getvalue()))
+    assert [b > a for a, b in zip([0, *lengths], lengths, strict=False)] == [
+        False, False, True, False, False, True, False, False,
+    ]  # fmt: skip
+
+
+def test_the_live_line_is_removed(trials, clock):
+    stream = Terminal()
+    progress = Progress("softmax", stream)
+    clock[0] += 1
+    progress(trials)
+    progress.close()
+    assert stream.getvalue().endswith("\r\033[K")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.2, "0 s"), (8.4, "8 s"), (99.0, "99 s"), (180.0, "3 min"), (9000.0, "2.5 h")],
+)
+def test_durations(seconds, text):
+    assert duration(seconds) == text
+
+
+def outcome(name: str, iterations: list[int], status: list[str], **changes) -> Outcomes:
+    n = len(iterations)
+    values = {
+        "name": name,
+        "experiment": "thesis",
+        "strategy": name,
+        "parameters": {},
+        "config": {},
+        "cap": 1000,
+        "threshold": 195.0,
+        "window": 100,
+        "trial": np.arange(n),
+        "seed": np.zeros(n, np.int64),
+        "iterations": np.array(iterations),
+        "converged": np.array([s == "converged" for s in status]),
+        "score": np.linspace(100, 200, n),
+        "frames": np.full(n, 12345),
+        "seconds": np.full(n, 1.5),
+        "status": np.array(status),
+        "provenance": {"seconds": 7.25},
+    }
+    return Outcomes(**{**values, **changes})
+
+
+def test_the_table_of_a_sweep():
+    jobs = [
+        outcome("softmax", [140, 100, 120], ["converged"] * 3),
+        outcome("argmax", [1000, 900, 1000], ["capped", "converged", "capped"]),
+        outcome("broken", [7, 500, 600, 3], ["diverged", "converged", "converged", "diverged"]),
+    ]
+    text = table(iter(jobs))
+    header, rule, *rows = text.splitlines()
+    assert header.split() == [
+        "job", "trials", "converged", "median", "iterations", "mean", "score", "frames", "seconds",
+    ]  # fmt: skip
+    assert set(rule) == {"-"}
+    assert [row.split() for row in rows] == [
+        ["softmax", "3", "3", "(100%)", "120", "150.0", "37,035", "7.2"],
+        ["argmax", "3", "1", "(33%)", ">", "1000", "150.0", "37,035", "7.2"],
+        ["broken", "4", "2", "(50%),", "2", "diverged", "600", "150.0", "49,380", "7.2"],
+    ]
+    ends = [len(row) for row in rows]
+    assert len(set(ends)) == 1  # columns stand under each other
+
+
+def test_a_job_of_which_nothing_converged():
+    (row,) = table([outcome("random", [1000] * 4, ["capped"] * 4)]).splitlines()[2:]
+    assert row.split()[2:6] == ["0", "(0%)", ">", "1000"]
+
+
+def test_a_cap_before_the_first_full_window_is_told():
+    jobs = [
+        outcome("softmax", [50] * 2, ["capped"] * 2, cap=50),
+        outcome("random", [100] * 2, ["capped"] * 2, cap=100),
+        outcome("four", [25] * 2, ["capped"] * 2, cap=25, config={"episodes_per_update": 4}),
+        outcome("greedy", [9] * 2, ["capped"] * 2, cap=9, config={"stop_on": "evaluation"}),
+    ]
+    assert warnings(jobs[:1]) == [
+        "no trial could converge with max_iterations=50: a score takes score_window=100 episodes"
+    ]
+    assert warnings(jobs[1:]) == []

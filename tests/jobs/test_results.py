@@ -1,0 +1,440 @@
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from trl_explore import jobs as results
+from trl_explore.jobs import writing
+from trl_explore.jobs.columns import ResultsError
+from trl_explore.training.record import Trials
+
+CONFIG = {
+    "seed": 5,
+    "trials": 3,
+    "first_trial": 10,
+    "max_iterations": 4,
+    "score_threshold": 5.0,
+    "score_window": 2,
+    "strategy": {"_target_": "somewhere", "epsilon": 0.1},
+    "env": {"id": "CartPole-v1"},
+}
+WEIGHTS = {"weight": torch.arange(24.0).reshape(3, 2, 4).transpose(1, 2)}  # not contiguous
+
+TRIALS_CSV = """\
+trial,seed,iterations,converged,score,frames,seconds,status
+10,5,3,False,2.5,33,1.500000,diverged
+11,5,2,True,5.6,41,1.000000,converged
+12,5,4,False,4.0,126,2.000000,capped
+"""
+EPISODES_CSV = """\
+trial,iteration,score,frames
+10,1,1.0,10
+11,1,2.0,20
+12,1,3.0,30
+10,2,2.0,11
+11,2,9.2,21
+12,2,4.0,31
+10,3,3.0,12
+12,3,5.0,32
+12,4,3.0,33
+"""
+FILES = ["episodes.csv", "run.json", "scalars", "trials.csv", "weights.safetensors"]
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def record() -> Trials:
+    """One trial of each status: 10 diverges, 11 converges, 12 is capped."""
+    trials = Trials(3, max_iterations=4, score_threshold=5, score_window=2)
+    for scores, frames, seconds, diverged in (
+        ([1, 2, 3], [10, 20, 30], 0.5, [False] * 3),
+        ([2, 9.2, 4], [11, 21, 31], 1.0, [False] * 3),
+        ([3, 5], [12, 32], 1.5, [True, False]),
+        ([3], [33], 2.0, [False]),
+    ):
+        trials.record(np.array(scores, np.float64), np.array(frames), np.array(diverged), seconds)
+    return trials
+
+
+def write(folder: Path, **options) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    arguments = {
+        "config": CONFIG,
+        "experiment": "thesis",
+        "strategy": "epsilon_greedy",
+        "collector": "TorchRLCollector",
+        "seconds": 2.25,
+    }
+    results.write_job(folder, record(), WEIGHTS, **{**arguments, **options})
+    return folder
+
+
+@pytest.fixture
+def job(tmp_path) -> Path:
+    return write(tmp_path / "thesis" / "epsilon_greedy,epsilon=0.1")
+
+
+def test_the_files_to_the_letter(job):
+    assert names(job) == FILES
+    assert (job / "trials.csv").read_text() == TRIALS_CSV
+    assert (job / "episodes.csv").read_text() == EPISODES_CSV
+    assert names(job / "scalars") == [
+        "active.csv",
+        "converged.csv",
+        "episode_score.csv",
+        "score.csv",
+    ]
+    assert (job / "scalars" / "active.csv").read_text() == "1,3.0\n2,2.0\n3,1.0\n4,0.0\n"
+
+
+def test_the_curves(job):
+    curves = results.read_curves(job)
+    assert sorted(curves) == ["active", "converged", "episode_score", "score"]
+    assert curves.index.tolist() == [1, 2, 3, 4]
+    for name, expected in record().curves().items():
+        assert curves[name].tolist() == expected.tolist(), name
+
+
+def test_run_json(job):
+    run = results.read_run(job)
+    assert run == json.loads((job / "run.json").read_text())
+    expected = {
+        "status": "finished",
+        "experiment": "thesis",
+        "strategy": "epsilon_greedy",
+        "seed": 5,
+        "trials": 3,
+        "collector": "TorchRLCollector",
+        "seconds": 2.25,
+        "config": CONFIG,
+    }
+    assert {key: run[key] for key in expected} == expected
+    assert run["versions"]["torch"] == torch.__version__
+    assert set(run["versions"]) >= {"python", "trl_explore", "torchrl", "gymnasium", "numpy"}
+
+
+def test_the_weights_load_without_pickle(job):
+    loaded = load_file(job / "weights.safetensors")
+    assert loaded.keys() == WEIGHTS.keys()
+    assert torch.equal(loaded["weight"], WEIGHTS["weight"])
+
+
+def test_reading_back(job):
+    outcomes = results.read_job(job)
+    assert outcomes.name == "epsilon_greedy,epsilon=0.1"
+    assert (outcomes.experiment, outcomes.strategy) == ("thesis", "epsilon_greedy")
+    assert outcomes.parameters == {"epsilon": 0.1}
+    assert outcomes.config == CONFIG
+    assert (outcomes.cap, outcomes.threshold, outcomes.window) == (4, 5.0, 2)
+    assert outcomes.trial.tolist() == [10, 11, 12]
+    assert outcomes.seed.tolist() == [5, 5, 5]
+    assert outcomes.iterations.tolist() == [3, 2, 4]
+    assert outcomes.converged.tolist() == [False, True, False]
+    assert outcomes.score.tolist() == [2.5, 5.6, 4.0]
+    assert outcomes.frames.tolist() == [33, 41, 126]
+    assert outcomes.seconds.tolist() == [1.5, 1.0, 2.0]
+    assert outcomes.status.tolist() == ["diverged", "converged", "capped"]
+    assert outcomes.durations.tolist() == [4, 2, 4]
+    assert outcomes.provenance["seconds"] == 2.25
+    kinds = [outcomes.trial, outcomes.iterations, outcomes.frames, outcomes.seed]
+    assert all(array.dtype == np.int64 for array in kinds)
+    assert outcomes.converged.dtype == np.bool_
+    episodes = results.read_episodes(job)
+    for name, values in record().episodes().items():
+        assert episodes[name].tolist() == (values + 10 * (name == "trial")).tolist()
+
+
+def test_scores_keep_every_bit(tmp_path):
+    trials = Trials(1, max_iterations=3, score_window=3)
+    scores = [0.1 + 0.2, 1 / 3, 1e-17 + np.pi]
+    for score in scores:
+        trials.record(np.array([score]), np.array([1]), np.array([False]), 0.0)
+    job = tmp_path / "job"
+    job.mkdir()
+    results.write_job(
+        job, trials, {}, config={**CONFIG, "trials": 1}, experiment="e", strategy="s",
+        collector="c", seconds=0.0,
+    )  # fmt: skip
+    assert results.read_episodes(job)["score"].tolist() == scores
+    assert results.read_job(job).score[0] == np.mean(scores)
+    assert results.read_curves(job)["episode_score"].tolist()[:2] == scores[:2]
+
+
+def test_all_trials_of_one_status(tmp_path):
+    """A column of one value only still reads as what it is."""
+    for k, (score, name) in enumerate([(9.0, "converged"), (1.0, "capped")]):
+        trials = Trials(2, max_iterations=1, score_threshold=5, score_window=1)
+        trials.record(np.array([score] * 2), np.array([1, 1]), np.array([False] * 2), 0.0)
+        job = tmp_path / str(k)
+        job.mkdir()
+        results.write_job(
+            job, trials, {}, config={**CONFIG, "trials": 2}, experiment="e", strategy="s",
+            collector="c", seconds=0.0,
+        )  # fmt: skip
+        outcomes = results.read_job(job)
+        assert outcomes.status.tolist() == [name] * 2
+        assert outcomes.converged.tolist() == [name == "converged"] * 2
+
+
+def test_episodes_can_be_switched_off(tmp_path):
+    job = write(tmp_path / "job", episodes=False)
+    assert names(job) == [name for name in FILES if name != "episodes.csv"]
+    assert len(results.read_job(job)) == 3
+    with pytest.raises(ResultsError, match=r"episodes\.csv: missing"):
+        results.read_episodes(job)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_writing_again_gives_the_same_files(job):
+    before = contents(job)
+    results.clear(job)
+    assert names(job) == []
+    write(job)
+    assert contents(job) == before
+
+
+def test_clear_leaves_other_files_alone(job):
+    (job / ".hydra").mkdir()
+    (job / ".hydra" / "config.yaml").write_text("seed: 0\n")
+    (job / "notes.txt").write_text("mine")
+    results.clear(job)
+    assert names(job) == [".hydra", "notes.txt"]
+    results.clear(job)  # nothing left to remove is no error
+
+
+@pytest.mark.parametrize("point", range(5))
+def test_a_job_is_complete_or_absent(tmp_path, monkeypatch, point):
+    """Whatever file an interruption hits, the folder does not count as a finished job."""
+    job, calls = tmp_path / "job", []
+    write_whole, write_scalars = writing._write_whole, writing._write_scalars
+
+    def whole(path, fill):
+        calls.append(path.name)
+        if len(calls) > point:
+            raise KeyboardInterrupt
+        write_whole(path, fill)
+
+    def scalars(folder, trials):
+        calls.append("scalars")
+        if len(calls) > point:
+            raise KeyboardInterrupt
+        write_scalars(folder, trials)
+
+    monkeypatch.setattr(writing, "_write_whole", whole)
+    monkeypatch.setattr(writing, "_write_scalars", scalars)
+    with pytest.raises(KeyboardInterrupt):
+        write(job)
+    assert (
+        calls[-1]
+        == ["trials.csv", "episodes.csv", "scalars", "weights.safetensors", "run.json"][point]
+    )
+    assert not results.is_finished(job)
+    assert results.find_jobs(tmp_path) == []
+    with pytest.raises(ResultsError, match=r"no finished job \(run\.json is missing\)"):
+        results.read_job(job)
+    monkeypatch.undo()
+    results.clear(job)
+    write(job)
+    assert names(job) == FILES
+
+
+def test_a_file_appears_whole_or_not_at_all(tmp_path):
+    def break_off(temporary: Path) -> None:
+        temporary.write_text("half of ")
+        assert not (tmp_path / "file").exists() or (tmp_path / "file").read_text() == "old"
+        raise OSError("disk full")
+
+    for old in (None, "old"):
+        if old:
+            (tmp_path / "file").write_text(old)
+        with pytest.raises(OSError, match="disk full"):
+            writing._write_whole(tmp_path / "file", break_off)
+        assert names(tmp_path) == ([] if old is None else ["file"])
+    assert (tmp_path / "file").read_text() == "old"
+
+
+def test_leftovers_of_a_killed_job_do_not_get_into_the_curves(job):
+    """The logger of TorchRL appends to what it finds."""
+    leftover = job / ".scalars.tmp" / "curves" / "scalars"
+    leftover.mkdir(parents=True)
+    (leftover / "score.csv").write_text("1,77.0\n")
+    results.clear(job)
+    write(job)
+    assert results.read_curves(job)["score"].tolist() == record().curves()["score"].tolist()
+
+
+def one_line(error: pytest.ExceptionInfo) -> str:
+    text = str(error.value)
+    assert text
+    assert "\n" not in text
+    return text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "nonsense\n",
+        "\x00\x01\x02",
+        "a,b,c\n1,2,3\n",
+        TRIALS_CSV.replace("status", "state"),
+        TRIALS_CSV[:-3],  # "cap"
+        TRIALS_CSV[:-18],  # within the seconds
+        TRIALS_CSV[: TRIALS_CSV.rindex("126") + 2],  # within the frames
+        TRIALS_CSV.replace("33,1.5", ",1.5"),
+        TRIALS_CSV.replace("10,5,3", "10,5,3.5"),
+        TRIALS_CSV.replace("10,5,3", "ten,5,3"),
+        TRIALS_CSV.replace("True", "perhaps"),
+        TRIALS_CSV.replace("2.5", "much"),
+        TRIALS_CSV.replace("capped", "stopped"),
+        TRIALS_CSV + "13,5,4,False,4.0,126,2.000000,capped,1,2,3\n",
+        TRIALS_CSV.split("12,5")[0],  # a trial is missing
+        TRIALS_CSV + "13,5,4,False,4.0,126,2.000000,capped\n",  # one too many
+    ],
+)
+def test_a_truncated_or_foreign_table_of_trials(job, text):
+    (job / "trials.csv").write_text(text)
+    with pytest.raises(ResultsError) as error:
+        results.read_job(job)
+    assert "trials.csv" in one_line(error)
+
+
+def test_a_table_of_trials_that_is_no_text(job):
+    (job / "trials.csv").write_bytes(b"\xff\xfe\x9d\x00" * 9)
+    with pytest.raises(ResultsError) as error:
+        results.read_job(job)
+    assert "trials.csv" in one_line(error)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "trial,iteration\n1,2\n", EPISODES_CSV[:-6], "\x00", EPISODES_CSV + "1,2,3,4,5\n"]
+)
+def test_truncated_or_foreign_episodes(job, text):
+    (job / "episodes.csv").write_text(text)
+    with pytest.raises(ResultsError) as error:
+        results.read_episodes(job)
+    assert "episodes.csv" in one_line(error)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"status": "finished"}', "null", "\x00"])
+def test_a_broken_record(job, text):
+    (job / "run.json").write_text(text)
+    for read in (results.read_run, results.read_job):
+        with pytest.raises(ResultsError) as error:
+            read(job)
+        assert "run.json" in one_line(error)
+
+
+@pytest.mark.parametrize("name", ["trials.csv", "run.json"])
+def test_a_missing_file(job, name):
+    (job / name).unlink()
+    with pytest.raises(ResultsError, match=f"{name}.*missing"):
+        results.read_job(job)
+
+
+def test_missing_curves(job):
+    shutil.rmtree(job / "scalars")
+    with pytest.raises(ResultsError, match="no learning curves") as error:
+        results.read_curves(job)
+    one_line(error)
+
+
+def test_an_empty_folder(tmp_path):
+    assert results.find_jobs(tmp_path) == []
+    assert results.read_jobs([tmp_path]) == []
+    assert results.read_frame([tmp_path]).empty
+    with pytest.raises(ResultsError):
+        results.read_job(tmp_path)
+
+
+def test_a_sweep_in_one_frame(tmp_path):
+    sweep = tmp_path / "sweep"
+    write(sweep / "epsilon_greedy,epsilon=0.1")
+    write(
+        sweep / "softmax", strategy="softmax", config={**CONFIG, "strategy": {"temperature": 2.0}}
+    )
+    (sweep / "unfinished").mkdir()
+    assert [path.name for path in results.find_jobs(tmp_path)] == [
+        "epsilon_greedy,epsilon=0.1",
+        "softmax",
+    ]
+    jobs = results.read_jobs([sweep / "softmax", tmp_path])  # found twice, read once
+    assert [job.name for job in jobs] == ["softmax", "epsilon_greedy,epsilon=0.1"]
+    frame = results.read_frame([sweep, tmp_path])
+    assert len(frame) == 6
+    assert set(frame) == {
+        "experiment", "job", "strategy", "strategy.epsilon", "strategy.temperature",
+        *results.TRIAL_COLUMNS,
+    }  # fmt: skip
+    assert frame["strategy"].tolist() == ["epsilon_greedy"] * 3 + ["softmax"] * 3
+    assert frame["strategy.epsilon"].tolist()[:3] == [0.1] * 3
+    assert frame["strategy.epsilon"].isna().tolist() == [False] * 3 + [True] * 3
+    assert frame["strategy.temperature"].tolist()[3:] == [2.0] * 3
+    assert frame["trial"].tolist() == [10, 11, 12] * 2
+    assert list(frame)[:3] == ["experiment", "job", "strategy"]
+
+
+def test_the_columns_are_those_of_the_documentation():
+    assert results.TRIAL_COLUMNS == (
+        "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
+    )  # fmt: skip
+    assert results.EPISODE_COLUMNS[:3] == ("trial", "iteration", "score")
+
+
+def test_weights_are_read_back(job):
+    import torch
+    from safetensors.torch import load_file
+
+    weights = results.read_weights(job)
+    saved = load_file(job / "weights.safetensors")
+    assert set(weights) == set(saved)
+    for name, weight in weights.items():
+        assert torch.equal(torch.from_numpy(weight), saved[name])
+    (job / "weights.safetensors").write_bytes(b"{}")
+    with pytest.raises(results.ResultsError, match="not readable as weights"):
+        results.read_weights(job)
+    (job / "weights.safetensors").unlink()
+    with pytest.raises(results.ResultsError, match="missing"):
+        results.read_weights(job)
+
+
+@pytest.mark.parametrize("cut", ["row", "number"])
+def test_truncated_episodes_are_noticed(job, cut):
+    path = job / "episodes.csv"
+    assert len(results.read_episodes(job))
+    text = path.read_text()
+    shorter = text[: text.rstrip("\n").rindex("\n") + 1] if cut == "row" else text[:-2] + "\n"
+    path.write_text(shorter)
+    with pytest.raises(results.ResultsError, match=r"episodes\.csv"):
+        results.read_episodes(job)
+
+
+def test_damaged_curves_are_one_line(job):
+    path = job / "scalars" / "score.csv"
+    path.write_text(path.read_text().replace("\n", "\nx,", 1))
+    with pytest.raises(results.ResultsError, match="scalars"):
+        results.read_curves(job)
+
+
+@pytest.mark.parametrize("key", ["versions", "machine"])
+def test_an_incomplete_record_is_one_line(job, key):
+    run = json.loads((job / "run.json").read_text())
+    del run[key]
+    (job / "run.json").write_text(json.dumps(run))
+    with pytest.raises(results.ResultsError, match=key):
+        results.read_job(job)

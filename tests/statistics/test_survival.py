@@ -1,0 +1,267 @@
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+from statsmodels.duration.survfunc import SurvfuncRight
+
+from trl_explore.statistics.survival import (
+    convergence_times,
+    expected_running_time,
+    kaplan_meier,
+    median_time,
+    number_at_risk,
+    restricted_mean,
+)
+
+# Freireich's remission times of leukaemia under 6-MP, the textbook example; 0 is censored.
+WEEKS = [6, 6, 6, 6, 7, 9, 10, 10, 11, 13, 16, 17, 19, 20, 22, 23, 25, 32, 32, 34, 35]
+EVENT = [1, 1, 1, 0, 1, 0, 1, 0, 0, 1, 1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0]
+
+trials = st.lists(st.tuples(st.integers(1, 30), st.booleans()), min_size=1, max_size=40)
+
+
+def test_curve_of_the_textbook():
+    curve = kaplan_meier(WEEKS, EVENT)
+    np.testing.assert_array_equal(curve.times, [0, 6, 7, 10, 13, 16, 22, 23, 35])
+    np.testing.assert_allclose(
+        curve.survival, [1, 0.857, 0.807, 0.753, 0.690, 0.627, 0.538, 0.448, 0.448], atol=5e-4
+    )
+    np.testing.assert_array_equal(curve.at_risk, [21, 21, 17, 15, 12, 11, 7, 6, 1])
+    np.testing.assert_array_equal(curve.events, [0, 3, 1, 1, 1, 1, 1, 1, 0])
+    # Log-log interval of R's survfit(conf.type = "log-log") at 6 and at 23 weeks.
+    np.testing.assert_allclose([curve.low[1], curve.high[1]], [0.620, 0.952], atol=1e-3)
+    np.testing.assert_allclose([curve.low[7], curve.high[7]], [0.188, 0.680], atol=1e-3)
+
+
+def test_curve_agrees_with_scipy_and_statsmodels(rng):
+    t = rng.integers(1, 60, size=80)
+    e = rng.random(80) < 0.6
+    curve = kaplan_meier(t, e, level=0.9)
+    sf = stats.ecdf(stats.CensoredData(uncensored=t[e], right=t[~e])).sf
+    grid = np.arange(t.min(), t.max() + 1)
+    np.testing.assert_allclose(curve.at(grid), sf.evaluate(grid), atol=1e-12)
+    sm = SurvfuncRight(t, e)
+    inner = curve.events > 0
+    np.testing.assert_allclose(curve.survival[inner], sm.surv_prob, atol=1e-12)
+    np.testing.assert_array_equal(curve.at_risk[inner], sm.n_risk)
+    with warnings.catch_warnings():
+        # scipy leaves the interval undefined at Ŝ = 1 and Ŝ = 0, which are not compared.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        ci = sf.confidence_interval(confidence_level=0.9, method="log-log")
+    at = curve.times[inner & (curve.survival > 0)]
+    np.testing.assert_allclose(curve.low[np.isin(curve.times, at)], ci.low.evaluate(at))
+    np.testing.assert_allclose(curve.high[np.isin(curve.times, at)], ci.high.evaluate(at))
+
+
+def test_only_censored_at_the_cap_is_the_empirical_curve():
+    curve = kaplan_meier([3, 5, 5, 9, 10, 10], [1, 1, 1, 1, 0, 0])
+    np.testing.assert_array_equal(curve.times, [0, 3, 5, 9, 10])
+    np.testing.assert_allclose(curve.survival, [1, 5 / 6, 3 / 6, 2 / 6, 2 / 6])
+    np.testing.assert_array_equal(curve.at([0, 2.9, 3, 10]), curve.survival[[0, 0, 1, 4]])
+    assert np.isnan(curve.at([10.1])).all()
+
+
+def test_convergence_at_the_cap_comes_before_censoring():
+    curve = kaplan_meier([10, 10], [True, False])
+    np.testing.assert_allclose(curve.survival, [1.0, 0.5])
+
+
+def test_all_censored_is_not_certainty():
+    curve = kaplan_meier([10, 10, 10], [0, 0, 0])
+    np.testing.assert_array_equal(curve.times, [0, 10])
+    np.testing.assert_array_equal(curve.survival, [1, 1])
+    # Wilson with 3 of 3: 3 / (3 + 1.96²)
+    np.testing.assert_allclose(curve.low, 3 / (3 + 3.8415), atol=1e-4)
+    np.testing.assert_array_equal(curve.high, [1, 1])
+
+
+def test_none_censored_ends_at_zero():
+    curve = kaplan_meier([1, 2, 3], [1, 1, 1])
+    assert curve.survival[-1] == 0.0
+    assert curve.low[-1] == 0.0
+    assert 0.5 < curve.high[-1] < 0.6
+
+
+def test_one_trial_and_ties():
+    assert kaplan_meier([7], [True]).survival.tolist() == [1.0, 0.0]
+    assert kaplan_meier([7], [False]).survival.tolist() == [1.0, 1.0]
+    tied = kaplan_meier([7, 7, 7, 7], [1, 1, 1, 1])
+    assert tied.times.tolist() == [0.0, 7.0]
+    assert tied.survival.tolist() == [1.0, 0.0]
+
+
+@settings(deadline=None)
+@given(trials)
+def test_curve_is_a_survival_curve(data):
+    t, e = np.array([d[0] for d in data]), np.array([d[1] for d in data])
+    curve = kaplan_meier(t, e)
+    assert (np.diff(curve.times) > 0).all()
+    assert (np.diff(curve.survival) <= 1e-15).all()
+    assert ((curve.low <= curve.survival + 1e-12) & (curve.survival <= curve.high + 1e-12)).all()
+    assert ((curve.low >= 0) & (curve.high <= 1)).all()
+    assert curve.events.sum() == e.sum()
+    np.testing.assert_array_equal(curve.at_risk, number_at_risk(t, curve.times))
+
+
+@pytest.mark.parametrize(
+    ("t", "e", "message"),
+    [
+        ([], [], "n ≥ 1"),
+        ([1, 2], [True], "both"),
+        ([0, 1], [True, True], "from 0.0"),
+        ([1, np.nan], [True, True], "positive and finite"),
+        ([[1, 2]], [[True, True]], "both"),
+    ],
+)
+def test_curve_refuses(t, e, message):
+    with pytest.raises(ValueError, match=message):
+        kaplan_meier(t, e)
+
+
+def test_number_at_risk_by_hand():
+    np.testing.assert_array_equal(
+        number_at_risk([2, 4, 4, 9], [0, 2, 3, 4, 5, 9, 10]), [4, 4, 3, 3, 1, 1, 0]
+    )
+
+
+def test_median_and_its_interval():
+    curve = kaplan_meier(WEEKS, EVENT)
+    # R: survfit(..., conf.type = "log-log") gives median 23, 95 % interval 13 to NA.
+    m = median_time(curve)
+    assert (m.value, m.low, m.high) == (23.0, 13.0, np.inf)
+
+
+def test_median_agrees_with_statsmodels(rng):
+    t = np.minimum(rng.integers(1, 100, size=61), 80)
+    sm = SurvfuncRight(t, t < 80)
+    assert median_time(kaplan_meier(t, t < 80)).value == sm.quantile(0.5)
+
+
+def test_median_not_reached():
+    m = median_time(kaplan_meier([10, 10, 3], [0, 0, 1]))
+    assert (m.value, m.high) == (np.inf, np.inf)
+    m = median_time(kaplan_meier([10] * 8, [0] * 8))
+    assert (m.low, m.value, m.high) == (np.inf, np.inf, np.inf)
+
+
+def test_median_at_exactly_one_half():
+    assert median_time(kaplan_meier([2, 5, 9, 9], [1, 1, 0, 0])).value == 5.0
+    assert median_time(kaplan_meier([2], [1])).value == 2.0
+
+
+def test_median_of_one_trial_is_open_to_both_sides():
+    m = median_time(kaplan_meier([2], [1]))
+    # Wilson with one trial is [0.21, 1] before the event and [0, 0.79] after it: both have ½.
+    assert m.low == 0.0
+    assert m.high == np.inf
+
+
+def test_restricted_mean_is_the_mean_when_the_cap_censors():
+    t, e = [100, 200, 600, 1000, 1000], [1, 1, 1, 0, 0]
+    value, error = restricted_mean(t, e, 1000)
+    assert value == pytest.approx(580.0)
+    assert error == pytest.approx(np.std(t, ddof=1) / np.sqrt(5))
+
+
+def test_restricted_mean_with_early_censoring_by_hand():
+    # Ŝ: 1 to 2, 3/4 to 4 (one censored at 3), 3/8 to 6: area 2 + 1.5 + 0.75.
+    value, error = restricted_mean([2, 3, 4, 6], [1, 0, 1, 0], 6)
+    assert value == pytest.approx(4.25)
+    # A(2) = 2.25, A(4) = 0.75; d / (n (n - d)): 1 / 12 and 1 / 2; factor 4 / 3.
+    assert error == pytest.approx(np.sqrt((2.25**2 / 12 + 0.75**2 / 2) * 4 / 3))
+
+
+def test_both_ways_to_the_restricted_mean_agree(monkeypatch):
+    # A censoring at 999.999 takes the integral, at 1000 the plain mean.
+    t, e = [100.0, 200.0, 600.0, 1000.0], [1, 1, 1, 0]
+    plain = restricted_mean(t, e, 1000)
+    integral = restricted_mean([100.0, 200.0, 600.0, 999.999], e, 999.9995 - 0.001)
+    assert integral == pytest.approx(plain, rel=1e-4)
+
+
+def test_restricted_mean_below_the_last_time():
+    assert restricted_mean([2, 4, 9], [1, 1, 1], 5)[0] == pytest.approx((2 + 4 + 5) / 3)
+
+
+def test_restricted_mean_degenerate():
+    value, error = restricted_mean([10], [False], 10)
+    assert value == 10
+    assert np.isnan(error)
+    assert restricted_mean([10, 10], [False, False], 10) == (10.0, 0.0)
+    assert restricted_mean([4, 4], [True, True], 10) == (4.0, 0.0)
+
+
+@pytest.mark.parametrize(("horizon", "message"), [(0, "horizon=0"), (11, "only until 10")])
+def test_restricted_mean_refuses(horizon, message):
+    with pytest.raises(ValueError, match=message):
+        restricted_mean([5, 10], [True, False], horizon)
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(1, 100), min_size=2, max_size=50))
+def test_restricted_mean_law(t):
+    t = np.minimum(np.array(t), 60)
+    value, error = restricted_mean(t, t < 60, 60)
+    assert value == pytest.approx(t.mean())
+    assert error == pytest.approx(t.std(ddof=1) / np.sqrt(len(t)), abs=1e-9)
+
+
+def test_expected_running_time(rng):
+    e = expected_running_time([100, 200, 1000, 1000], [1, 1, 0, 0], rng)
+    assert e.value == 2300 / 2
+    assert e.low < 1150 < e.high
+    # Of 4 draws, all fail with probability 1/16 > 2.5 %.
+    assert e.high == np.inf
+
+
+def test_expected_running_time_without_failures_is_the_mean(rng):
+    t = rng.integers(100, 300, size=50)
+    e = expected_running_time(t, np.ones(50), rng)
+    se = t.std(ddof=1) / np.sqrt(50)
+    assert e.value == pytest.approx(t.mean())
+    assert e.high - e.low == pytest.approx(2 * 1.96 * se, rel=0.08)
+
+
+def test_expected_running_time_without_success(rng):
+    e = expected_running_time([1000] * 30, [0] * 30, rng)
+    assert (e.value, e.high) == (np.inf, np.inf)
+    assert e.low == pytest.approx(1000 / 0.11351, rel=1e-3)
+    one = expected_running_time([1000], [0], rng)
+    assert one.value == np.inf
+    assert np.isnan(one.low)
+
+
+def test_times_of_a_diverged_trial(make):
+    o = make([100, 1000, 37], converged=[1, 0, 0], diverged=[2])
+    t, e = convergence_times(o)
+    assert t.tolist() == [100, 1000, 1000]
+    assert e.tolist() == [True, False, False]
+
+
+def test_frames_keep_failed_trials_at_risk(make):
+    # The second trial fails after few frames: censored there, the curve would reach 0.
+    o = make([100, 1000, 200], frames=[9000, 8000, 18000])
+    t, e = convergence_times(o, "frames")
+    assert t.tolist() == [9000, 18000, 18000]
+    assert kaplan_meier(t, e).survival[-1] == pytest.approx(1 / 3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"durations": [100, 500], "converged": [1, 0]}, "trial 1 stopped unconverged after 500"),
+        ({"durations": [100, 1001], "converged": [1, 1]}, "trial 1 converged after 1001"),
+        ({"durations": []}, "without trials"),
+    ],
+)
+def test_unfinished_jobs_are_refused(make, options, message):
+    with pytest.raises(ValueError, match=message):
+        convergence_times(make(**options))
+
+
+def test_unit_is_checked(make):
+    with pytest.raises(ValueError, match="'seconds'"):
+        convergence_times(make([1]), "seconds")

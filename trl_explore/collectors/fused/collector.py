@@ -1,0 +1,247 @@
+"""The collector that compiles what environment, policy and strategy say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from itertools import pairwise
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.spaces import Discrete
+from gymnasium.wrappers import (
+    DtypeObservation,
+    FlattenObservation,
+    OrderEnforcing,
+    PassiveEnvChecker,
+    TimeLimit,
+)
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictSequential
+from torch import nn
+from torchrl.data import OneHot
+from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
+from torchrl.envs.utils import ExplorationType
+
+from trl_explore.checks import MAX_THREADS, check_integer
+from trl_explore.collectors.collector import EpisodeCollector
+from trl_explore.collectors.fused.columns import Columns, Part, grow, joined
+from trl_explore.collectors.fused.loop import compile_loop
+from trl_explore.collectors.fused.networks import Network, arrays, network_of
+from trl_explore.collectors.fused.scratch import scratch
+from trl_explore.envs import lane_env
+from trl_explore.envs.kernels import Kernel, kernel_of
+from trl_explore.numerics.crew import together
+from trl_explore.numerics.streams import Stream, key
+from trl_explore.policies.policy import is_one_hot
+from trl_explore.strategies import BaseStrategy, MixtureStrategy, Strategy
+
+WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
+TRANSFORMS = (StepCounter, RewardSum)
+
+MIN_TRIALS = 32
+"""Trials for each thread below which dividing them costs more than it saves."""
+BLOCK = 2048
+"""Trials whose frames are better had at once than those of more."""
+FIRST_FRAMES = 256
+"""Frames of an episode that there is room for at first."""
+
+
+class NotCompilableError(ValueError):
+    """What the fused collector was given and cannot compile; the message says why."""
+
+
+class FusedCollector(EpisodeCollector):
+    """Runs whole episodes in machine code, thousands of times faster than stepping TorchRL.
+
+    It compiles the environment's id and constants, the transforms it knows, the policy's weights
+    and the strategy's mixture; the same seed gives the same episodes as the ``TorchRLCollector``,
+    up to floating-point rounding. Arguments and data are those of ``EpisodeCollector``.
+
+    Keyword Args:
+        threads: the number of threads among which trials are divided; the data do not depend on it.
+
+    Raises:
+        NotCompilableError: with the reason, if the environment has no kernel, or a wrapper,
+            transform, policy or strategy is not of a kind that the loop knows.
+    """
+
+    def __init__(
+        self,
+        env: TransformedEnv,
+        policy: TensorDictSequential,
+        *,
+        exploration_type: ExplorationType | None = None,
+        threads: int = 1,
+        **options: Any,
+    ) -> None:
+        super().__init__(env, policy, exploration_type=exploration_type, **options)
+        self.kernel, self.network, self._parameters = compilable(env, policy)
+        if self.episodes_per_update > 1 and type(self.strategy).begin is not BaseStrategy.begin:
+            name = type(self.strategy).__name__
+            raise NotCompilableError(f"{name} prepares for every episode, and there are several")
+        masked = has_mask(env)
+        self._loop = compile_loop(self.kernel, self.network, masked)
+        self.threads = check_integer("threads", threads, 1, MAX_THREADS)
+        self.block = BLOCK * threads
+        n_masks = self.kernel.n_actions if masked else 0
+        self._columns = [Columns(self.kernel.n_features, n_masks) for _ in range(threads)]
+        episodes = self.trials * self.episodes_per_update
+        sizes = self.kernel, self.network, self.lanes.max_steps, masked, episodes
+        self._scratches = [scratch(*sizes) for _ in range(threads)]
+
+    def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
+        (trials,) = active.nonzero()
+        self.strategy.begin(active, self.episodes)
+        episodes = self.episodes[trials]
+        if self.episodes_per_update > 1:
+            numbers = np.arange(self.episodes_per_update)
+            trials = np.repeat(trials, self.episodes_per_update)
+            episodes = (episodes[:, None] + numbers).reshape(-1)
+        parts = self._divide(trials, episodes)
+        self._run(parts, self._context())
+        return joined(parts)
+
+    def _context(self) -> tuple[Any, ...]:
+        """What the loop is told of the policy, the strategy and the random streams."""
+        explore = self.exploration_type == ExplorationType.RANDOM
+        strategy = cast(MixtureStrategy, self.strategy)
+        acting = strategy.behaviour_parameters(self._parameters) if explore else self._parameters
+        return (
+            self.lanes.first_trial,
+            key(self.lanes.seed, self.lanes.stream),
+            key(self.lanes.seed, Stream.ACTION),
+            arrays(self.network, acting),
+            self._mixture(),
+            explore,
+        )
+
+    def _divide(self, trials: NDArray[np.int64], episodes: NDArray[np.int64]) -> list[Part]:
+        """A part of the episodes for each thread, but no small ones."""
+        count = max(1, min(self.threads, len(trials) // MIN_TRIALS))
+        if count == 1:
+            return [Part(self._columns[0], self._scratches[0], trials, episodes)]
+        edges = [len(trials) * i // count for i in range(count + 1)]
+        # The two parts in the middle share the first columns, of which one fills the frames
+        # before the middle, and the other those behind it.
+        middle = count // 2
+        columns = [self._columns[0] if i in (middle - 1, middle) else None for i in range(count)]
+        others = iter(self._columns[1:])
+        return [
+            Part(
+                columns[i] or next(others), self._scratches[i], trials[low:high],
+                episodes[low:high], backwards=i == middle - 1,
+            )
+            for i, (low, high) in enumerate(pairwise(edges))
+        ]  # fmt: skip
+
+    def _run(self, parts: list[Part], context: tuple[Any, ...]) -> None:
+        """Run all parts to their end, with more memory as often as it takes."""
+        grow(parts, FIRST_FRAMES)
+        left = parts
+        while left:
+            together([partial(p.run, self._loop, self.kernel.parameters, context) for p in left])
+            left = [part for part in left if len(part.trials)]
+            if left:
+                grow(parts)
+
+    def _mixture(self) -> NDArray[np.float64]:
+        """Weights and temperature [4, 1], or [4, trials] where they differ between trials."""
+        # Compiled code would read beside an array that is too short.
+        point = cast(MixtureStrategy, self.strategy).checked_mixture(self.trials)
+        if all(isinstance(value, float) for value in point):
+            return np.array(point).reshape(4, 1)
+        return np.stack(np.broadcast_arrays(*map(np.atleast_1d, point))).astype(np.float64)
+
+
+def has_mask(env: TransformedEnv) -> bool:
+    """Whether an environment says which actions are allowed."""
+    return env.observation_spec.get("action_mask", None) is not None
+
+
+def compilable(
+    env: TransformedEnv, policy: TensorDictSequential
+) -> tuple[Kernel, Network, list[nn.Parameter]]:
+    """The kernel that serves an environment, and the policy's code and parameters.
+
+    Raises:
+        NotCompilableError: with the reason.
+    """
+    lane = lane_env(env).envs[0]
+    while isinstance(lane, gym.Wrapper):
+        if type(lane) not in WRAPPERS:
+            raise NotCompilableError(f"the wrapper {type(lane).__name__} is not known to it")
+        lane = lane.env
+    for transform in cast(Iterable[Transform], env.transform or ()):
+        if type(transform) not in TRANSFORMS:
+            raise NotCompilableError(f"the transform {type(transform).__name__} is not known to it")
+    served = network_of(policy[0], one_hot=is_one_hot(env)) if len(policy) == 2 else None
+    if served is None:
+        raise NotCompilableError(f"the policy {_names(policy)} is not known to it")
+    check_strategy(policy[1])
+    try:
+        kernel = kernel_of(lane)
+    except LookupError as error:
+        raise NotCompilableError(str(error.args[0])) from None
+    if has_mask(env) and kernel.mask is None:
+        raise NotCompilableError(f"the kernel of {type(lane).__name__} has no action mask")
+    check_sizes(env, kernel, *served)
+    return kernel, *served
+
+
+def _names(policy: TensorDictSequential) -> str:
+    """The modules before the strategy."""
+    return ", ".join(type(module).__name__ for module in policy.module[:-1])
+
+
+def check_sizes(
+    env: TransformedEnv, kernel: Kernel, network: Network, parameters: list[nn.Parameter]
+) -> None:
+    """Compiled code reads beside an array that is too short: compare all sizes before.
+
+    Raises:
+        NotCompilableError: with those that differ.
+    """
+    sizes = (kernel.n_actions, kernel.n_features)
+    lanes = lane_env(env)
+    n_actions = int(cast(Discrete, lanes.single_action_space).n)
+    served = (n_actions, *(lanes.single_observation_space.shape or ()))
+    if served != sizes:
+        raise NotCompilableError(
+            f"the kernel is made for (actions, features) {sizes}, not {served}"
+        )
+    first = parameters[0]
+    if (network.sizes[-1], network.sizes[0]) != sizes or len(first) != lanes.num_envs:
+        raise NotCompilableError(
+            f"the weights are {list(first.shape)} for (trials, actions, features) "
+            f"{(lanes.num_envs, *sizes)}"
+        )
+    for parameter in parameters:
+        if parameter.dtype != torch.float32 or not parameter.is_cpu:
+            raise NotCompilableError(
+                f"the weights are {parameter.dtype} on {parameter.device}, not torch.float32 on cpu"
+            )
+
+
+def check_strategy(strategy: Any) -> None:
+    """Refuse a strategy that does more than its mixture says.
+
+    Raises:
+        NotCompilableError: with the reason.
+    """
+    kind, name = type(strategy), type(strategy).__name__
+    if not isinstance(strategy, MixtureStrategy):
+        raise NotCompilableError(f"{name} is not a mixture of argmax, softmax and uniform")
+    if kind.probs is not MixtureStrategy.probs or kind.forward is not Strategy.forward:
+        raise NotCompilableError(f"{name} changes probs or forward")
+    if kind.explore is not Strategy.explore:
+        raise NotCompilableError(f"{name} draws its actions in a way of its own")
+    unstated = kind.behaviour_parameters is MixtureStrategy.behaviour_parameters
+    if kind.preferences is not Strategy.preferences and unstated:
+        raise NotCompilableError(f"{name} changes the logits, and not by the parameters")
+    keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
+    if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
+        raise NotCompilableError(f"{name} has a one-hot action or renamed entries")

@@ -1,0 +1,109 @@
+"""The lanes of the episode loop: on the stack, and ever fewer until others take their places."""
+
+# numba rewrites signatures:
+# pyright: reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numba as nb
+import numpy as np
+
+from trl_explore.numerics.borrow import one_by_one
+from trl_explore.numerics.philox import philox_block, to_unit
+
+LANES = 64
+"""How many episodes are stepped side by side."""
+
+_ZERO, _ONE = np.uint64(0), np.uint64(1)
+
+part = nb.njit(inline="always", nogil=True, error_model="numpy")
+"""Decorator of a part of the loop: what it knows of the lanes, the part must know, too."""
+
+
+class Lanes(NamedTuple):
+    """What a step of an episode reads and writes, lane by lane [..., LANES]; on the stack."""
+
+    state: Any
+    """Of the kernel [state_size]."""
+    rng: Any
+    """The stream of the environment [STATE_SIZE]."""
+    noise: Any
+    """Uniform numbers for the actions of four steps [4]."""
+    point: Any
+    """Weights of argmax, softmax and uniform, and temperature [4]."""
+    local: Any
+    """Weights of the policy [network.local]."""
+    x: Any
+    """Observation [n_features]."""
+    probs: Any
+    """Logits, then μ [n_actions]."""
+    work: Any
+    """[n_actions]."""
+    place: Any
+    """What belongs to the episode, by the constants below [6]."""
+    value: Any
+    """Reward, sum of rewards, and μ(action) [3]."""
+    over: Any
+    """Whether the episode has terminated []."""
+
+
+SLOT, SEAT, ROW, ACTION, FRAME, END = range(6)
+"""In ``Lanes.place``: the episode's slot in the scratch, the place of its policy's weights, the row
+of its trial, its action, and where in the scratch its frame is, and its last one may be."""
+
+
+@part
+def clear(lanes):
+    """Give every lane a seat, and to those that are computed before they are used a number."""
+    lanes.x[:] = 0
+    lanes.local[:] = 0
+    lanes.point[:] = 1
+    lanes.noise[:] = 0
+    for j in range(LANES):
+        lanes.place[SEAT, j] = j
+
+
+@part
+def draw_noise(left, max_steps, episodes, first_trial, action_key, lanes):
+    """The action noise of the next four steps, from each trial's own stream."""
+    for j in range(left):
+        slot = lanes.place[SLOT, j]
+        t = lanes.place[FRAME, j] - slot * max_steps
+        words = philox_block(
+            action_key[0], action_key[1], np.uint64(t >> 2) + _ONE, _ZERO,
+            np.uint64(episodes[slot]), np.uint64(first_trial + lanes.place[ROW, j]),
+        )  # fmt: skip
+        for i in range(4):
+            lanes.noise[i, j] = to_unit(words[i])
+        one_by_one()  # 64-bit products are not for vectors
+
+
+@part
+def retire(left, max_steps, scratch, lanes):
+    """End the episodes that are at their end; the last lanes take their places."""
+    j = 0
+    while j < left:
+        frame = lanes.place[FRAME, j]
+        if not lanes.over[j] and frame < lanes.place[END, j]:
+            j += 1
+            continue
+        slot, seat = lanes.place[SLOT, j], lanes.place[SEAT, j]
+        scratch.steps[slot], scratch.ended[slot] = frame - slot * max_steps, lanes.over[j]
+        left -= 1
+        lanes.over[j] = lanes.over[left]
+        for i in range(6):
+            lanes.place[i, j] = lanes.place[i, left]
+        for i in range(3):
+            lanes.value[i, j] = lanes.value[i, left]
+        for i in range(4):
+            lanes.noise[i, j], lanes.point[i, j] = lanes.noise[i, left], lanes.point[i, left]
+        for i in range(lanes.state.shape[0]):
+            lanes.state[i, j] = lanes.state[i, left]
+        for i in range(lanes.rng.shape[0]):
+            lanes.rng[i, j] = lanes.rng[i, left]
+        for i in range(lanes.local.shape[0]):
+            lanes.local[i, j] = lanes.local[i, left]
+        lanes.place[SEAT, left] = seat
+    return left

@@ -1,0 +1,258 @@
+"""Whole episodes in machine code: environment, policy and mixture strategy in one.
+
+Each operation is that of the TorchRL collector, in the same order and precision: states in
+float64, observations, logits and probabilities in float32, the inverse CDF in float64.
+
+Episodes of many trials are stepped side by side, each in a lane. What a step reads and writes lies
+lane by lane on the stack, so that a loop over lanes becomes vector instructions where the kernel,
+the policy and the strategy neither branch nor call. Frames go to the scratch of the group, from
+where whole episodes go to the data, in order of trials.
+"""
+
+# numba rewrites signatures:
+# pyright: reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numba as nb
+import numpy as np
+
+from trl_explore.collectors.fused import lanes as lanes_module
+from trl_explore.collectors.fused import mixing, networks
+from trl_explore.collectors.fused import scratch as scratch_module
+from trl_explore.collectors.fused.lanes import (  # fmt: skip
+    ACTION,
+    END,
+    FRAME,
+    LANES,
+    ROW,
+    SEAT,
+    SLOT,
+    Lanes,
+    clear,
+    draw_noise,
+    part,
+    retire,
+)
+from trl_explore.collectors.fused.mixing import compile_mixing, load_point
+from trl_explore.collectors.fused.networks import Network, compile_network
+from trl_explore.collectors.fused.scratch import Scratch, compile_deliver, is_narrow, row_of
+from trl_explore.envs.kernels import Kernel
+from trl_explore.envs.kernels import kernel as base
+from trl_explore.envs.kernels.kernel import kernel_function
+from trl_explore.numerics import activation, exponential, linear, philox
+from trl_explore.numerics import bell as bell_module
+from trl_explore.numerics import borrow as borrow_module
+from trl_explore.numerics.bell import ring
+from trl_explore.numerics.borrow import borrow, lane, on_stack
+from trl_explore.numerics.compiled import compiled
+from trl_explore.numerics.philox import STATE_SIZE, begin
+
+INLINED = (
+    *(lanes_module, scratch_module, mixing, networks, base, borrow_module, philox),
+    *(activation, bell_module, exponential, linear),
+)
+"""The modules that are compiled into the loop, besides this one and the kernel's own."""
+
+
+def compile_loop(
+    kernel: Kernel, network: Network, masked: bool = False
+) -> Callable[..., tuple[int, int]]:
+    """The episode loop around a kernel and a policy; compiled when first called, or from disk.
+
+    The function returned has the signature
+
+        loop(parameters, trials, episodes, first_trial, env_key, action_key, weights, mixture,
+             explore, memory, columns, place, backwards, bell) -> (trials done, place)
+
+    with trials and episodes [m] int64 (rows of the weights and the numbers of their episodes),
+    weights of ``networks.arrays``, mixture [4, 1 or *] float64 (greedy, softmax, uniform,
+    temperature), explore whether to draw actions or to take the first of largest logit, memory of
+    ``scratch.scratch``, and columns the arrays of ``columns.Columns``, which it fills from frame
+    ``place`` on. Backwards, it takes the last trials first, and fills the frames before ``place``.
+    It begins by ringing the ``bell`` (``bell.ring``), so that other threads begin as well.
+    It stops before a group of trials whose episodes do not fit.
+
+    Args:
+        kernel: the environment.
+        network: the policy.
+        masked: whether the kernel's action masks are obeyed, and written to the columns.
+    """
+    functions = (kernel.reset, kernel.step, kernel.observe, kernel.mask if masked else None)
+    return _compile(*functions, kernel.state_size, network, kernel.digest)
+
+
+@lru_cache(maxsize=32)
+def _compile(  # noqa: C901 - the parts of one compiled function
+    reset: Any, step: Any, observe: Any, mask: Any, state_size: int, network: Network, digest: str
+) -> Callable[..., tuple[int, int]]:
+    n_features, n_actions = network.sizes[0], network.sizes[-1]
+    narrow = is_narrow(network, mask is not None)
+    x_of = _x_of_lane if narrow else _compile_x(n_features)
+    record = 4 + n_features if narrow else 4
+    deliver = compile_deliver(record, narrow, n_features, n_actions if mask is not None else 0)
+    load, logits = compile_network(network)
+    mix, draw, first_largest = compile_mixing(n_actions)
+    legal = _nothing if mask is None else _compile_mask(mask, n_actions)
+    f32, f64, u64 = nb.float32, nb.float64, nb.uint64
+    state_lanes, rng_lanes = on_stack(f64, state_size, LANES), on_stack(u64, STATE_SIZE, LANES)
+    noise_lanes, point_lanes = on_stack(f64, 4, LANES), on_stack(f32, 4, LANES)
+    local_lanes = on_stack(f32, max(1, network.local), LANES)
+    x_lanes = on_stack(f32, n_features if narrow else 1, LANES)
+    probs_lanes, work_lanes = on_stack(f32, n_actions, LANES), on_stack(f32, n_actions, LANES)
+    place_lanes, value_lanes = on_stack(nb.int64, 6, LANES), on_stack(f32, 3, LANES)
+    over_lanes = on_stack(nb.boolean, LANES)
+
+    @part
+    def begin_episode(j, slot, row, max_steps, parameters, weights, mixture, scratch, lanes):
+        """Reset the environment of lane j, whose stream has begun, and load its weights."""
+        reset(parameters, lane(lanes.state, j), lane(lanes.rng, j))
+        load(weights, row, lane(lanes.local, j), scratch.own, lanes.place[SEAT, j])
+        load_point(mixture, row if mixture.shape[1] > 1 else 0, lane(lanes.point, j))
+        lanes.place[SLOT, j], lanes.place[ROW, j], lanes.value[1, j] = slot, row, 0
+        lanes.place[FRAME, j], lanes.place[END, j] = slot * max_steps, (slot + 1) * max_steps
+
+    @part
+    def act(t, left, parameters, weights, explore, scratch, lanes):
+        """Observe, and choose an action, in every lane."""
+        if narrow:
+            for j in range(left):
+                observe(parameters, lane(lanes.state, j), x_of(scratch, lanes, j))
+        full = (left + 7) & ~7 if narrow else left  # whole vectors, of lanes that may have ended
+        for j in range(full):
+            x, probs, local = x_of(scratch, lanes, j), lane(lanes.probs, j), lane(lanes.local, j)
+            row, seat = lanes.place[ROW, j], lanes.place[SEAT, j]
+            if not narrow:  # it is long, and read while it is in the cache
+                observe(parameters, lane(lanes.state, j), x)
+            logits(weights, row, local, scratch.own, seat, scratch.hidden, x, probs)
+            legal(parameters, lane(lanes.state, j), scratch, lanes, j, probs)
+        if explore:
+            for j in range(full):
+                mix(lane(lanes.probs, j), lane(lanes.work, j), lane(lanes.point, j))
+            for j in range(full):
+                action, chance = draw(lane(lanes.probs, j), lanes.noise[t & 3, j])
+                lanes.place[ACTION, j], lanes.value[2, j] = action, chance
+        else:
+            for j in range(left):
+                action = first_largest(lane(lanes.probs, j))
+                lanes.place[ACTION, j], lanes.value[2, j] = action, 1
+
+    @part
+    def advance(left, parameters, lanes):
+        """Step every lane; returns how many episodes are at their end."""
+        count = 0
+        for j in range(left):
+            reward, terminal = step(
+                parameters, lane(lanes.state, j), lanes.place[ACTION, j], lane(lanes.rng, j)
+            )
+            lanes.value[0, j] = reward
+            lanes.value[1, j] += lanes.value[0, j]
+            lanes.over[j] = terminal
+        for j in range(left):
+            count += lanes.over[j] | (lanes.place[FRAME, j] + 1 == lanes.place[END, j])
+        return count
+
+    @part
+    def keep(left, scratch, lanes):
+        """Write a frame of every lane to the scratch of its episode."""
+        frames = borrow(scratch.frames)
+        for j in range(left):
+            start = lanes.place[FRAME, j] * record
+            frame = frames[start : start + record]
+            for k in range(3):
+                frame[k] = lanes.value[k, j]
+            frame[3] = lanes.place[ACTION, j]  # float32 holds whole numbers up to 2^24
+            for k in range(4, record):
+                frame[k] = lanes.x[k - 4, j]
+        for j in range(left):
+            lanes.place[FRAME, j] += 1
+
+    def loop(
+        parameters, trials, episodes, first_trial, env_key, action_key, weights, mixture,
+        explore, memory, columns, place, backwards, bell,
+    ):  # fmt: skip
+        ring(bell)
+        arrays, width, max_steps = memory
+        # The argument is no named tuple: numba could not read its cache once the class has moved.
+        scratch = Scratch(*arrays)
+        lanes = Lanes(
+            state_lanes(), rng_lanes(), noise_lanes(), point_lanes(), local_lanes(), x_lanes(),
+            probs_lanes(), work_lanes(), place_lanes(), value_lanes(), over_lanes(),
+        )  # fmt: skip
+        clear(lanes)
+        done = 0
+        while done < len(trials):
+            n = min(len(scratch.steps), len(trials) - done)
+            first = len(trials) - done - n if backwards else done
+            group, numbers = trials[first : first + n], episodes[first : first + n]
+            left = begun = t = 0
+            while left > 0 or begun < n:
+                if t & 3 == 0:
+                    while left < width and begun < n:
+                        row, episode = group[begun], np.uint64(numbers[begun])
+                        begin(lane(lanes.rng, left), env_key, episode, np.uint64(first_trial + row))
+                        begin_episode(
+                            left, begun, row, max_steps, parameters, weights, mixture, scratch,
+                            lanes,
+                        )  # fmt: skip
+                        left += 1
+                        begun += 1
+                    draw_noise(left, max_steps, numbers, first_trial, action_key, lanes)
+                act(t, left, parameters, weights, explore, scratch, lanes)
+                count = advance(left, parameters, lanes)
+                keep(left, scratch, lanes)
+                if count > 0:
+                    left = retire(left, max_steps, scratch, lanes)
+                t += 1
+            total = 0
+            for slot in range(n):
+                total += scratch.steps[slot]
+            if total > (place if backwards else len(columns[0]) - place):
+                return done, place
+            start = place - total if backwards else place
+            place = start if backwards else start + total
+            for slot in range(n):
+                deliver(scratch, columns, slot, max_steps, group[slot], start)
+                start += scratch.steps[slot]
+            done += n
+        return done, place
+
+    return compiled(*INLINED, key=(state_size, network, mask is not None, digest))(loop)
+
+
+@part
+def _x_of_lane(scratch, lanes, j):
+    """Where a narrow observation is kept."""
+    return lane(lanes.x, j)
+
+
+def _compile_x(n_features: int) -> Any:
+    """The function that says where an observation of lane j is kept that is not narrow."""
+
+    @part
+    def x_in_scratch(scratch, lanes, j):
+        return row_of(scratch.observation, lanes, j, n_features)
+
+    return x_in_scratch
+
+
+def _compile_mask(mask: Any, n_actions: int) -> Any:
+    """The function that asks which actions are legal, and gives the others the logit −∞."""
+
+    @kernel_function
+    def legal(parameters, state, scratch, lanes, j, logits):
+        allowed = row_of(scratch.allowed, lanes, j, n_actions)
+        mask(parameters, state, allowed)
+        for a in range(n_actions):
+            logits[a] = logits[a] if allowed[a] else -np.inf
+
+    return legal
+
+
+@kernel_function
+def _nothing(parameters, state, scratch, lanes, j, logits):
+    """All actions are legal."""

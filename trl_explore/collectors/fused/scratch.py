@@ -1,0 +1,135 @@
+"""The frames of a group of episodes while they run, from where whole episodes go to the data."""
+
+# numba rewrites signatures:
+# pyright: reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trl_explore.collectors.fused.lanes import FRAME, LANES
+from trl_explore.collectors.fused.networks import Network
+from trl_explore.envs.kernels import Kernel
+from trl_explore.envs.kernels.kernel import kernel_function
+from trl_explore.numerics.borrow import borrow
+from trl_explore.numerics.exponential import log32
+
+GROUP = 2 * LANES
+"""How many episodes follow each other through the lanes before they go to the data."""
+NARROW = 8
+"""Up to so many features an observation is kept lane by lane."""
+SCRATCH_BYTES = 1 << 22
+"""The scratch of a group should stay in the processor's cache."""
+
+
+class Scratch(NamedTuple):
+    """The frames of a group of episodes, each in its slot, and room for their policies."""
+
+    frames: NDArray[np.float32]
+    """Reward, sum of rewards, μ(action), action, and a narrow observation, frame by frame
+    [slots * max_steps * (4 + n_features or 0)]."""
+    observation: NDArray[np.float32]
+    """[slots * max_steps * n_features]; empty where it is narrow."""
+    allowed: NDArray[np.bool_]
+    """Action mask [slots * max_steps * n_actions]; empty without."""
+    steps: NDArray[np.int64]
+    """The number of frames [slots]."""
+    ended: NDArray[np.bool_]
+    """Whether the last one terminated [slots]."""
+    own: Any
+    """``own`` and ``hidden`` of ``Network.memory``; as many seats as there are lanes."""
+    hidden: NDArray[np.float32]
+
+
+def scratch(
+    kernel: Kernel, network: Network, max_steps: int, masked: bool, episodes: int = GROUP
+) -> tuple[tuple[Any, ...], int, int]:
+    """The fields of a ``Scratch`` for at most ``episodes``, the number of lanes, and ``max_steps``.
+
+    What is not used of it costs nothing.
+    """
+    n_masks = kernel.n_actions if masked else 0
+    per_frame = 4 * (4 + kernel.n_features) + n_masks
+    slots = max(1, min(GROUP, SCRATCH_BYTES // (max_steps * per_frame), episodes))
+    lanes = min(LANES, slots, network.group())
+    n = slots * max_steps
+    narrow = is_narrow(network, masked)
+    own, hidden = network.memory(lanes)
+    memory = Scratch(
+        np.empty(n * (4 + narrow * kernel.n_features), dtype=np.float32),
+        np.empty(n * (not narrow) * kernel.n_features, dtype=np.float32),
+        np.empty(n * n_masks, dtype=np.bool_),
+        np.empty(slots, dtype=np.int64),
+        np.empty(slots, dtype=np.bool_),
+        own,
+        hidden,
+    )
+    return tuple(memory), lanes, max_steps
+
+
+def is_narrow(network: Network, masked: bool) -> bool:
+    """Whether an observation is kept lane by lane; longer ones go to the scratch at once."""
+    return network.sizes[0] <= NARROW and network.local > 0 and not masked
+
+
+@kernel_function
+def row_of(frames, lanes, j, size):
+    """The part of a column of the scratch, ``size`` for each frame, that is lane j's frame."""
+    start = lanes.place[FRAME, j] * size
+    return borrow(frames)[start : start + size]
+
+
+def compile_deliver(record: int, narrow: bool, n_features: int, n_masks: int) -> Any:
+    """The function that writes the episode in a slot to the frames of the data from ``start`` on.
+
+    One loop for each column, or two that go together, becomes vector instructions.
+    """
+
+    @kernel_function
+    def deliver(scratch, columns, slot, max_steps, row, start):
+        n, first = scratch.steps[slot], slot * max_steps
+        end = start + n
+        frames = borrow(scratch.frames)[first * record : (first + n) * record]
+        (trial, observation, action, action_log_prob, reward, done, terminated, truncated,
+         step_count, episode_reward, action_mask) = columns  # fmt: skip
+        to, total = borrow(reward)[start:end], borrow(episode_reward)[start:end]
+        log, choice = borrow(action_log_prob)[start:end], borrow(action)[start:end]
+        x = borrow(observation)[start * n_features : end * n_features]
+        for t in range(n):
+            to[t] = frames[t * record]
+            total[t] = frames[t * record + 1]
+            log[t] = frames[t * record + 2]
+            choice[t] = np.int64(frames[t * record + 3])
+            if narrow:
+                for k in range(n_features):
+                    x[t * n_features + k] = frames[t * record + 4 + k]
+        for t in range(n):
+            log[t] = log32(log[t])
+        if not narrow:
+            copy(scratch.observation, observation, first, start, n, n_features)
+        if n_masks:
+            copy(scratch.allowed, action_mask, first, start, n, n_masks)
+        to_trial, step = borrow(trial)[start:end], borrow(step_count)[start:end]
+        for t in range(n):
+            to_trial[t] = row
+            step[t] = t + 1
+        borrow(done)[start:end] = False
+        borrow(terminated)[start:end] = False
+        borrow(truncated)[start:end] = False
+        done[end - 1] = True
+        terminated[end - 1] = scratch.ended[slot]
+        truncated[end - 1] = n == max_steps
+
+    return deliver
+
+
+@kernel_function
+def copy(source, target, first, start, n, size):
+    """Copy n frames of the scratch from ``first`` on to a column from ``start`` on."""
+    of = borrow(source)[first * size : (first + n) * size]
+    to = borrow(target)[start * size : (start + n) * size]
+    for i in range(len(to)):
+        to[i] = of[i]

@@ -1,0 +1,26 @@
+"""Environments: any gymnasium id as one TorchRL environment whose batch dimension is the lanes.
+
+``make_env`` is imported on first use: worker processes import ``envs.processes`` without torch.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from trl_explore.envs.make import lane_env, make_env
+    from trl_explore.envs.vector import LaneVectorEnv
+
+__all__ = ["LaneVectorEnv", "lane_env", "make_env"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("lane_env", "make_env"):
+        from trl_explore.envs import make
+
+        return getattr(make, name)
+    if name == "LaneVectorEnv":
+        from trl_explore.envs.vector import LaneVectorEnv
+
+        return LaneVectorEnv
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,229 @@
+"""The lanes: as many copies of an environment as there are trials, as a gymnasium VectorEnv."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from trl_explore.checks import LARGEST, check_integer
+from trl_explore.envs.copies import Copies, Make, Signals
+from trl_explore.envs.gym import make_gym
+from trl_explore.envs.processes import ProcessCopies
+from trl_explore.numerics.streams import Stream, generator
+
+MAX_WORKERS = 256
+MIN_LANES = 4
+"""Lanes for each process below which no further one is started unasked: it would not pay."""
+
+
+class LaneVectorEnv(VectorEnv):
+    """n independent copies of a gymnasium environment, each stepped only while it is unfinished.
+
+    Differs from gymnasium's vector environments in what a laboratory of independent trials needs:
+    a finished lane stays finished, is never stepped, and keeps its last observation, until it is
+    reset by ``options["reset_mask"]`` (autoreset is disabled); every episode of every lane draws
+    from a stream of its own, ``streams.generator(seed, stream, trial, episode)``, so that an
+    episode depends on nothing but its trial, its number and the actions.
+
+    An environment whose reset gives ``info["action_mask"]`` has masks: the lanes' ``info`` then
+    holds "action_mask" [n, n_actions], bool, False where an action is not allowed. Where a last
+    observation allows none, all are, since nobody acts there. Actions of a Box are clipped to its
+    bounds.
+
+    Args:
+        id: gymnasium id.
+        num_envs: number of lanes.
+        max_steps: time limit of an episode in steps; None takes the one that gymnasium registers.
+        seed: seed of the job.
+        first_trial: trial index of lane 0.
+        kwargs: arguments of the environment's constructor.
+        attributes: see ``make_gym``.
+        stream: from which of the trials' streams the environment draws.
+        workers: processes that step the lanes, this one among them; None takes as many as there
+            are processors. What the lanes do does not depend on it.
+
+    Raises:
+        ValueError: if an argument is wrong; later, if an observation, a reward or an action is
+            not finite, or a mask forbids every action: with trial and environment.
+        RuntimeError: if an environment fails in a process of its own.
+    """
+
+    def __init__(
+        self,
+        id: str,
+        num_envs: int,
+        max_steps: int | None = None,
+        *,
+        seed: int = 0,
+        first_trial: int = 0,
+        kwargs: Mapping[str, Any] | None = None,
+        attributes: Mapping[str, Any] | None = None,
+        stream: Stream = Stream.ENVIRONMENT,
+        workers: int | None = 1,
+    ) -> None:
+        check_integer("num_envs", num_envs, 1)
+        check_integer("first_trial", first_trial, 0, LARGEST - num_envs)
+        check_integer("seed", seed, 0)
+        self.workers = _workers(workers, num_envs)
+        make = partial(make_gym, id, max_steps, dict(kwargs or {}), dict(attributes or {}))
+        # A collector that compiles the environment never steps the lanes: build them when needed.
+        env = make()
+        limit = env.spec.max_episode_steps if env.spec is not None else max_steps
+        if limit is None:
+            raise ValueError(f"environment {id!r} has no time limit of its own; set max_steps")
+        self.id, self.max_steps = id, limit
+        self.num_envs = num_envs
+        self.spec = env.spec
+        self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.DISABLED}
+        self.autoreset_mode = AutoresetMode.DISABLED
+        self.single_observation_space = env.observation_space
+        self.single_action_space = env.action_space
+        self.observation_space = batch_space(env.observation_space, num_envs)
+        self.action_space = batch_space(env.action_space, num_envs)
+        self.first_trial = first_trial
+        self.stream = stream
+        self.reseed(seed)
+        n_features = (env.observation_space.shape or (0,))[0]
+        masked = _mask_size(make, env.action_space)
+        self.has_masks = masked > 0
+        self._signals = Signals.of(num_envs, n_features, masked)
+        self._running = np.zeros(num_envs, dtype=np.bool_)
+        if self.workers == 1:
+            self._copies = Copies(make, num_envs, env)
+        else:
+            sizes = (n_features, masked)
+            self._copies = ProcessCopies(id, make, num_envs, env, workers=self.workers, sizes=sizes)
+
+    @property
+    def envs(self) -> list[gym.Env]:
+        """The copies that exist in this process; the first one always does."""
+        return self._copies.envs
+
+    @property
+    def running(self) -> NDArray[np.bool_]:
+        """Whether the lane is within an episode [num_envs]."""
+        return self._running
+
+    def reseed(self, seed: int) -> None:
+        """Start every lane again at episode 0 of its trial under ``seed``."""
+        generator(seed, self.stream, 0)  # raises if the seed is not valid
+        self.seed = int(seed)
+        self.episodes = np.zeros(self.num_envs, dtype=np.int64)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[Any], dict[str, Any]]:
+        """Begin the next episode of the lanes in ``options["reset_mask"]``, or of all."""
+        if seed is not None:
+            self.reseed(seed)
+        mask = (options or {}).get("reset_mask")
+        lanes = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
+        self._copies.reset(
+            lanes,
+            self.first_trial + lanes,
+            self.episodes[lanes],
+            self.seed,
+            self.stream,
+            self._signals,
+        )
+        self.episodes[lanes] += 1
+        self._running[lanes] = True
+        self._check()
+        return self._signals.observation.copy(), self._info()
+
+    def step(
+        self, actions: NDArray[Any]
+    ) -> tuple[
+        NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
+    ]:
+        """Step the unfinished lanes; a finished one repeats its last observation with reward 0."""
+        signals = self._signals
+        lanes = np.flatnonzero(self._running)
+        signals.reward[:] = 0
+        self._copies.step(lanes, self._allowed(np.asarray(actions)[lanes], lanes), signals)
+        self._running &= ~(signals.terminated | signals.truncated)
+        self._check()
+        return (
+            signals.observation.copy(),
+            signals.reward.copy(),
+            signals.terminated.copy(),
+            signals.truncated.copy(),
+            self._info(),
+        )
+
+    def _allowed(self, actions: NDArray[Any], lanes: NDArray[np.int64]) -> NDArray[Any]:
+        """The actions as the environment may see them: those of a Box within its bounds."""
+        space = self.single_action_space
+        if not isinstance(space, spaces.Box):
+            return actions
+        if not np.isfinite(actions).all():
+            k = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
+            raise self._error(lanes[k], f"was given the action {actions[k].tolist()}")
+        return np.clip(actions, space.low, space.high, dtype=space.dtype)
+
+    def _info(self) -> dict[str, Any]:
+        return {"action_mask": self._signals.mask.copy()} if self.has_masks else {}
+
+    def _check(self) -> None:
+        """Refuse what is not finite, and masks that leave nothing to do."""
+        observation, reward, mask = (
+            self._signals.observation,
+            self._signals.reward,
+            self._signals.mask,
+        )
+        if not np.isfinite(observation).all():
+            lane, i = (int(k[0]) for k in np.nonzero(~np.isfinite(observation)))
+            raise self._error(lane, f"gave observation[{i}] = {observation[lane, i]}")
+        if not np.isfinite(reward).all():
+            lane = int(np.flatnonzero(~np.isfinite(reward))[0])
+            raise self._error(lane, f"gave the reward {reward[lane]}")
+        if self.has_masks and not (some := mask.any(axis=1)).all():
+            stuck = np.flatnonzero(~some & self._running)
+            if len(stuck):
+                raise self._error(int(stuck[0]), "gave an action mask that forbids every action")
+            mask[~some] = True
+
+    def _error(self, lane: int, what: str) -> ValueError:
+        trial, episode = self.first_trial + int(lane), int(self.episodes[lane]) - 1
+        return ValueError(f"environment {self.id!r} {what} in episode {episode} of trial {trial}")
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close every lane."""
+        self._copies.close()
+
+
+def _workers(workers: int | None, lanes: int) -> int:
+    """How many processes step the lanes."""
+    if workers is None:
+        return max(1, min(processors(), lanes // MIN_LANES))
+    return min(check_integer("workers", workers, 1, MAX_WORKERS), lanes)
+
+
+def processors() -> int:
+    """How many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _mask_size(make: Make, space: spaces.Space[Any]) -> int:
+    """The number of actions in an environment's masks; 0 if it has none.
+
+    Only a reset can tell: of a copy of its own, so that all lanes have the same past.
+    """
+    if not isinstance(space, spaces.Discrete):
+        return 0
+    env = make()
+    env.unwrapped.np_random = generator(0, Stream.ENVIRONMENT, 0)
+    _, info = env.reset()
+    env.close()
+    return int(space.n) if "action_mask" in info else 0

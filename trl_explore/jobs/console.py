@@ -1,0 +1,121 @@
+"""What a user sees in the terminal: one live line while a job runs, one table at its end."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable
+from typing import TextIO
+
+import numpy as np
+
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.training.record import Trials
+
+REFRESH = 0.2
+"""Seconds between two refreshes of the live line."""
+
+
+class Progress:
+    """A live line: converged so far, mean score, frames/s, time left at most.
+
+    Quiet where ``stream`` is not a terminal.
+
+    Args:
+        label: what is running.
+        stream: where to write.
+        begun: the record at this moment, where a training goes on that was begun before.
+    """
+
+    quiet = False
+    """Whether this process is one of several that share a terminal."""
+
+    def __init__(
+        self, label: str, stream: TextIO = sys.stderr, *, begun: Trials | None = None
+    ) -> None:
+        self.label, self.stream = label, stream
+        self.iterations = 0 if begun is None else begun.iteration
+        self.frames = 0 if begun is None else int(begun.frames.sum())
+        self.live = stream.isatty() and not Progress.quiet
+        self.started = self.shown = time.perf_counter()
+
+    def __call__(self, trials: Trials) -> None:
+        """Show the state after an iteration, if it is time to."""
+        now = time.perf_counter()
+        if not self.live or now - self.shown < REFRESH:
+            return
+        self.shown = now
+        seconds = now - self.started
+        done = trials.iteration - self.iterations
+        left = seconds / done * (trials.max_iterations - trials.iteration)
+        self.stream.write(
+            f"\r{self.label}: iteration {trials.iteration}, "
+            f"converged {trials.converged.sum()}/{len(trials)}, "
+            f"mean score {trials.score.mean():.1f}, "
+            f"{(trials.frames.sum() - self.frames) / seconds:,.0f} frames/s, "
+            f"at most {duration(left)} left\033[K"
+        )
+        self.stream.flush()
+
+    def close(self) -> None:
+        """Remove the line."""
+        if self.live:
+            self.stream.write("\r\033[K")
+            self.stream.flush()
+
+
+def duration(seconds: float) -> str:
+    """A time span in words: ``8 s``, ``3 min``, ``2.5 h``."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+def table(jobs: Iterable[Outcomes]) -> str:
+    """The outcome of every job, one line each.
+
+    ``median`` is the median of iterations to convergence over all trials, capped ones included;
+    "> cap" where fewer than half of the trials converged.
+    """
+    header = ("job", "trials", "converged", "median iterations", "mean score", "frames", "seconds")
+    rows = [header, *(_row(job) for job in jobs)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(header))]
+    lines = []
+    for row in rows:
+        first, *others = (
+            cell.ljust(w) if i == 0 else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        lines.append("  ".join([first, *others]).rstrip())
+    lines.insert(1, "-" * max(map(len, lines)))
+    return "\n".join(lines)
+
+
+def warnings(jobs: Iterable[Outcomes]) -> list[str]:
+    """What a reader of the table must know, one line each."""
+    short = [job for job in jobs if job.cut_short]
+    if not short:
+        return []
+    caps = sorted({job.cap for job in short})
+    windows = sorted({job.window for job in short})
+    return [
+        f"no trial could converge with max_iterations={'|'.join(map(str, caps))}: a score takes"
+        f" score_window={'|'.join(map(str, windows))} episodes"
+    ]
+
+
+def _row(job: Outcomes) -> tuple[str, ...]:
+    to_convergence = np.where(job.converged, job.iterations, np.inf)
+    # The lower median: of an even number of trials the one that is reached first.
+    median = np.sort(to_convergence)[(len(job) - 1) // 2]
+    diverged = int((job.status == "diverged").sum())
+    return (
+        job.name,
+        str(len(job)),
+        f"{int(job.converged.sum())} ({job.converged.mean():.0%})"
+        + (f", {diverged} diverged" if diverged else ""),
+        f"{median:.0f}" if np.isfinite(median) else f"> {job.cap}",
+        f"{job.score.mean():.1f}",
+        f"{int(job.frames.sum()):,}",
+        f"{job.provenance['seconds']:.1f}",
+    )

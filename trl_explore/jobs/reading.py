@@ -1,0 +1,297 @@
+"""Reading the files of jobs back, one job or all of a sweep, and checking them."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trl_explore.checks import first_line
+from trl_explore.jobs.columns import (
+    CONFIG_KEYS,
+    EPISODE_COLUMNS,
+    EPISODES,
+    RUN,
+    RUN_KEYS,
+    SCALARS,
+    TIMING_COLUMNS,
+    TIMINGS,
+    TRIAL_COLUMNS,
+    TRIALS,
+    WEIGHTS,
+    ResultsError,
+)
+from trl_explore.jobs.tables import Parser, booleans, integers, numbers, read_table, words
+from trl_explore.statistics.outcomes import STATUSES, Outcomes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TRIAL_PARSERS: dict[str, Parser] = dict(
+    zip(
+        TRIAL_COLUMNS,
+        (
+            integers, integers, integers, booleans, numbers, integers, numbers,
+            lambda texts: np.array(words(texts, STATUSES), dtype=np.str_),
+        ),
+        strict=True,
+    )
+)  # fmt: skip
+
+
+def is_finished(job: Path) -> bool:
+    """Whether the folder holds a finished job."""
+    return (job / RUN).is_file()
+
+
+def read_run(job: Path) -> dict[str, Any]:
+    """``run.json`` of a finished job.
+
+    Raises:
+        ResultsError: if it is missing or not what it should be.
+    """
+    try:
+        run = json.loads((job / RUN).read_text(encoding="utf-8"))
+        if missing := RUN_KEYS.keys() - set(run):
+            raise KeyError(*sorted(missing))
+        _check_kinds(run, RUN_KEYS)
+        if missing := CONFIG_KEYS.keys() - set(run["config"]):
+            raise KeyError(*sorted(missing))
+        _check_kinds(run["config"], CONFIG_KEYS)
+    except FileNotFoundError:
+        raise ResultsError(f"{job}: no finished job ({RUN} is missing)") from None
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise ResultsError(f"{job / RUN}: not readable as the record of a job ({reason})") from None
+    return run
+
+
+def _check_kinds(record: dict[str, Any], kinds: dict[str, tuple[type, ...]]) -> None:
+    for key, allowed in kinds.items():
+        value = record[key]
+        infinite = isinstance(value, float) and not math.isfinite(value)
+        if infinite or isinstance(value, bool) or not isinstance(value, allowed):
+            raise TypeError(f"{key} is {str(value)[:30]!r}")
+
+
+def read_trials(job: Path) -> pd.DataFrame:
+    """``trials.csv`` as a data frame, checked.
+
+    Raises:
+        ResultsError: if the file is missing, truncated or foreign.
+    """
+    import pandas as pd
+
+    return pd.DataFrame(_trials(job))
+
+
+def _trials(job: Path) -> dict[str, NDArray[Any]]:
+    """The columns of ``trials.csv``, each [n_trials]."""
+    columns = read_table(job / TRIALS, TRIAL_PARSERS)
+    if (columns["iterations"] < 1).any() or (columns["frames"] < 1).any():
+        raise ResultsError(f"{job / TRIALS}: a trial without iterations or frames")
+    if (np.diff(columns["trial"]) != 1).any():
+        raise ResultsError(f"{job / TRIALS}: its trials do not follow each other")
+    if (columns["converged"] != (columns["status"] == "converged")).any():
+        raise ResultsError(f"{job / TRIALS}: status and converged contradict each other")
+    return columns
+
+
+def read_episodes(job: Path) -> pd.DataFrame:
+    """``episodes.csv`` as a data frame, held against ``trials.csv``.
+
+    Raises:
+        ResultsError: if the file is missing, truncated or foreign.
+    """
+    frame, trials = _read_csv(job / EPISODES, EPISODE_COLUMNS), _trials(job)
+    for name in ("trial", "iteration", "frames"):
+        if frame[name].dtype.kind != "i":
+            raise ResultsError(f"{job / EPISODES}: column {name} is not of integers")
+    if frame["score"].dtype.kind not in "fi" or not np.isfinite(frame["score"]).all():
+        raise ResultsError(f"{job / EPISODES}: column score is not of finite numbers")
+    groups = frame.groupby(["trial", "iteration"])["frames"].agg(["size", "sum"]).reset_index()
+    trial, iteration, size, total = groups.to_numpy(dtype=np.int64).T
+    row = np.repeat(np.arange(len(trials["trial"])), trials["iterations"])
+    begun = np.cumsum(trials["iterations"]) - trials["iterations"]
+    same = (
+        np.array_equal(trial, trials["trial"][row])
+        and np.array_equal(iteration, np.arange(1, len(row) + 1) - begun[row])
+        and bool((size == size[:1]).all())  # episodes of an iteration
+        and np.array_equal(np.bincount(row, weights=total), trials["frames"])
+    )
+    if not same:
+        raise ResultsError(f"{job / EPISODES}: its episodes are not those of {TRIALS}")
+    return frame
+
+
+def read_weights(job: Path) -> dict[str, NDArray[Any]]:
+    """The final policy: name -> array [trials, ...].
+
+    Raises:
+        ResultsError: if the file is missing or damaged.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load_file
+
+    try:
+        return load_file(job / WEIGHTS)
+    except FileNotFoundError:
+        raise ResultsError(f"{job / WEIGHTS}: missing") from None
+    except (SafetensorError, OSError) as error:
+        raise ResultsError(f"{job / WEIGHTS}: not readable as weights ({error})") from None
+
+
+def read_timings(sweep: Path) -> pd.DataFrame | None:
+    """``timings.csv`` of a sweep as a data frame, checked; None where nothing was timed.
+
+    Raises:
+        ResultsError: if the file is truncated or foreign.
+    """
+    if not (sweep / TIMINGS).exists():
+        return None
+    frame = _read_csv(sweep / TIMINGS, TIMING_COLUMNS)
+    seconds = frame["seconds"].to_numpy()
+    if not (
+        frame["trial"].dtype.kind == "i"
+        and seconds.dtype.kind in "fi"
+        and bool(np.all(np.isfinite(seconds) & (seconds > 0)))
+    ):
+        raise ResultsError(f"{sweep / TIMINGS}: column trial or seconds is not of its type")
+    if frame.duplicated(["experiment", "job", "trial"]).any():
+        raise ResultsError(f"{sweep / TIMINGS}: a trial stands there twice")
+    return frame.astype({"experiment": str, "job": str})
+
+
+def read_curves(job: Path) -> pd.DataFrame:
+    """The learning curves of a job, one column each, indexed by iteration (from 1).
+
+    Raises:
+        ResultsError: if there are none.
+    """
+    import pandas as pd
+
+    files = sorted((job / SCALARS).glob("*.csv"))
+    if not files:
+        raise ResultsError(f"{job / SCALARS}: no learning curves")
+    curves = {}
+    for file in files:
+        columns = read_table(file, {"iteration": integers, "value": numbers}, header=False)
+        if not np.array_equal(columns["iteration"], np.arange(1, len(columns["value"]) + 1)):
+            raise ResultsError(f"{file}: its iterations do not follow each other")
+        curves[file.stem] = columns["value"]
+    if len({len(curve) for curve in curves.values()}) > 1:
+        raise ResultsError(f"{job / SCALARS}: the curves are not of the same length")
+    index = pd.RangeIndex(1, 1 + len(next(iter(curves.values()))), name="iteration")
+    return pd.DataFrame(curves, index=index)
+
+
+def _read_csv(path: Path, columns: Iterable[str]) -> pd.DataFrame:
+    import pandas as pd
+
+    try:
+        frame = pd.read_csv(path)
+    except FileNotFoundError:
+        raise ResultsError(f"{path}: missing") from None
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path}: not readable as CSV ({first_line(error)})") from None
+    missing = [name for name in columns if name not in frame.columns]
+    if missing:
+        raise ResultsError(f"{path}: no column {', '.join(missing)}")
+    if not isinstance(frame.index, pd.RangeIndex):
+        raise ResultsError(f"{path}: its lines have more fields than its first one")
+    if frame[list(columns)].isna().to_numpy().any():
+        raise ResultsError(f"{path}: a value is missing")
+    return frame
+
+
+def read_job(job: Path) -> Outcomes:
+    """The outcomes of a finished job.
+
+    Raises:
+        ResultsError: if the folder does not hold one, or its files contradict each other.
+    """
+    run, columns = read_run(job), _trials(job)
+    config = run["config"]
+    if len(columns["trial"]) != run["trials"]:
+        raise ResultsError(
+            f"{job / TRIALS}: {len(columns['trial'])} trials, but the job had {run['trials']}"
+        )
+    if (columns["seed"] != run["seed"]).any():
+        raise ResultsError(f"{job / TRIALS}: a trial of another seed than {run['seed']}")
+    parameters = {k: v for k, v in config["strategy"].items() if not k.startswith("_")}
+    return Outcomes(
+        name=job.name,
+        experiment=run["experiment"],
+        strategy=run["strategy"],
+        parameters=parameters,
+        config=config,
+        cap=config["max_iterations"],
+        threshold=config["score_threshold"],
+        window=config["score_window"],
+        provenance={k: run[k] for k in ("versions", "seed", "collector", "seconds", "machine")},
+        **columns,
+    )
+
+
+def find_jobs(folder: Path) -> list[Path]:
+    """The folders of all finished jobs at or below ``folder``, in order of their names."""
+    return [job for job, finished in find_folders(folder) if finished]
+
+
+def find_folders(folder: Path) -> list[tuple[Path, bool]]:
+    """The folders of all jobs at or below ``folder``, by name, and whether each is finished.
+
+    Hidden folders and links to folders are not looked into: a link may lead anywhere.
+    """
+    found: list[tuple[Path, bool]] = []
+    below = [folder]
+    while below:
+        place = below.pop()
+        try:
+            with os.scandir(place) as entries:
+                names = {e.name: e.is_dir(follow_symlinks=False) for e in entries}
+        except OSError:
+            continue
+        if names.keys() & {RUN, ".hydra", TRIALS}:
+            found.append((place, RUN in names))
+        below += [
+            place / name
+            for name, is_folder in names.items()
+            if is_folder and name[0] != "." and name != SCALARS
+        ]
+    return sorted(found)
+
+
+def read_jobs(folders: Iterable[Path]) -> list[Outcomes]:
+    """The outcomes of every finished job in any set of job and sweep folders."""
+    jobs = dict.fromkeys(job for folder in folders for job in find_jobs(Path(folder)))
+    return [read_job(job) for job in jobs]
+
+
+def read_frame(folders: Iterable[Path]) -> pd.DataFrame:
+    """The trials of every finished job as one data frame.
+
+    The columns of ``trials.csv``, and before them ``experiment``, ``job``, ``strategy`` and one
+    column for each parameter of a strategy.
+    """
+    import pandas as pd
+
+    frames = []
+    for job in dict.fromkeys(job for folder in folders for job in find_jobs(Path(folder))):
+        outcomes, frame = read_job(job), read_trials(job)
+        labels = {
+            "experiment": outcomes.experiment,
+            "job": outcomes.name,
+            "strategy": outcomes.strategy,
+            **{f"strategy.{key}": value for key, value in outcomes.parameters.items()},
+        }
+        for place, (name, value) in enumerate(labels.items()):
+            frame.insert(place, name, [value] * len(frame))
+        frames.append(frame)
+    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()

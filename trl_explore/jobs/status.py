@@ -1,0 +1,226 @@
+"""How far a sweep is: which jobs are done, running, failed or left, from a glance at their files.
+
+A folder with ten thousand jobs is read in about a second: one small file for each finished job,
+the head of a checkpoint for each begun one, and neither torch nor pandas.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
+from trl_explore.jobs.checkpoint import SLOTS
+from trl_explore.jobs.columns import EPISODES, RUN, TRIALS, ResultsError
+from trl_explore.jobs.lock import NAME as LOCK
+from trl_explore.jobs.lock import is_locked
+from trl_explore.jobs.sweeps import MULTIRUN, SWEEP, read_asked, read_failures
+
+DONE, RUNNING, FAILURE, CUT, LEFT = "done", "running", "failed", "cut off", "left"
+STATES = (DONE, RUNNING, FAILURE, CUT, LEFT)
+MARKS = {RUN, TRIALS, EPISODES, ".hydra", CHECKPOINT, LOCK}
+"""A folder that holds one of these is the folder of a job."""
+HEAD = 2**24
+"""Bytes at most of the head of a checkpoint; more than that is not one of this program."""
+SHOWN = 40
+"""A sweep of more jobs is shown without those that are done."""
+
+
+@dataclass(frozen=True)
+class JobStatus:
+    """A job: its state, how many iterations it has done at least, and in how many seconds.
+
+    ``cap`` is the number of iterations after which it ends at the latest; ``reason`` says why it
+    failed. What is not known is None.
+    """
+
+    name: str
+    state: str
+    iterations: int | None = None
+    cap: int | None = None
+    seconds: float | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class SweepStatus:
+    """The jobs in a folder, by name."""
+
+    folder: Path
+    jobs: list[JobStatus]
+
+    def counts(self) -> dict[str, int]:
+        """How many jobs are in each state."""
+        found = Counter(job.state for job in self.jobs)
+        return {state: found[state] for state in STATES}
+
+
+def survey(folders: Iterable[Path]) -> list[SweepStatus]:
+    """The sweeps at or below the folders; a folder of a job is a sweep with this job alone.
+
+    Raises:
+        ResultsError: if a folder does not exist, or nothing in it is of this program.
+    """
+    found: dict[Path, SweepStatus] = {}
+    for folder in folders:
+        if not folder.is_dir():
+            raise ResultsError(f"{folder}: no such folder")
+        here = list(_sweeps(folder.resolve()))
+        if not here:
+            raise ResultsError(f"{folder}: no job at or below it")
+        for sweep in here:
+            known = found.get(sweep.folder)
+            jobs = {job.name: job for s in (known, sweep) if s for job in s.jobs}
+            found[sweep.folder] = SweepStatus(sweep.folder, [jobs[name] for name in sorted(jobs)])
+    return list(found.values())
+
+
+def _sweeps(folder: Path) -> Iterator[SweepStatus]:
+    job = _job(folder)
+    if job is not None:
+        failures = read_failures(folder.parent)
+        yield SweepStatus(folder.parent, [_with_failure(job, failures)])
+        return
+    jobs: dict[str, JobStatus] = {}
+    below = []
+    for name in _subfolders(folder):
+        job = _job(folder / name)
+        if job is None:
+            below.append(name)
+        else:
+            jobs[name] = job
+    failures = read_failures(folder)
+    for name in [*read_asked(folder), *failures]:
+        jobs.setdefault(name, JobStatus(name, LEFT))
+    if jobs:
+        yield SweepStatus(folder, [_with_failure(jobs[name], failures) for name in sorted(jobs)])
+    for name in below:
+        yield from _sweeps(folder / name)
+
+
+def _subfolders(folder: Path) -> list[str]:
+    """The folders in a folder, without hidden ones and without links, which may lead anywhere."""
+    try:
+        with os.scandir(folder) as entries:
+            return sorted(
+                entry.name
+                for entry in entries
+                if not entry.name.startswith(".") and entry.is_dir(follow_symlinks=False)
+            )
+    except OSError:
+        return []
+
+
+def _with_failure(job: JobStatus, failures: dict[str, str]) -> JobStatus:
+    if job.name not in failures or job.state in (DONE, RUNNING):
+        return job
+    return JobStatus(job.name, FAILURE, job.iterations, job.cap, job.seconds, failures[job.name])
+
+
+def _job(folder: Path) -> JobStatus | None:
+    """The state of a job; None if it is no folder of a job."""
+    run = _json(folder / RUN)
+    if run is not None:
+        return _described(folder.name, DONE, run)
+    try:
+        with os.scandir(folder) as entries:
+            names = {entry.name for entry in entries}
+    except OSError:
+        return None
+    if not names & MARKS or names & {SWEEP, MULTIRUN}:
+        return None
+    state = DONE if RUN in names else RUNNING if is_locked(folder) else CUT
+    return _described(folder.name, state, _progress(folder) if CHECKPOINT in names else {})
+
+
+def _json(path: Path) -> dict[str, Any] | None:
+    """What a file says; None where there is none, nothing where it is not legible."""
+    try:
+        content = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _progress(folder: Path) -> dict[str, Any]:
+    """The header of the newest checkpoint."""
+    headers = [_header(folder / CHECKPOINT / slot) for slot in SLOTS]
+    return max(headers, key=lambda header: _integer(header.get("iteration")) or -1)
+
+
+def _header(path: Path) -> dict[str, Any]:
+    """The header of a checkpoint, which stands in the first bytes of the file."""
+    try:
+        with path.open("rb") as file:
+            size = int.from_bytes(file.read(8), "little")
+            metadata = json.loads(file.read(size))["__metadata__"] if size <= HEAD else {}
+        header = json.loads(metadata["header"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return {}
+    return header if isinstance(header, dict) else {}
+
+
+def _described(name: str, state: str, record: dict[str, Any]) -> JobStatus:
+    config = record.get("config")
+    seconds = record.get("seconds")
+    if not isinstance(seconds, int | float) or not 0 <= seconds < float("inf"):
+        seconds = None
+    return JobStatus(
+        name,
+        state,
+        _integer(record.get("iterations", record.get("iteration"))),
+        _integer(config.get("max_iterations")) if isinstance(config, dict) else None,
+        seconds,
+    )
+
+
+def _integer(value: Any) -> int | None:
+    return value if isinstance(value, int) and not isinstance(value, bool) else None
+
+
+def report(sweep: SweepStatus, *, everything: bool = False) -> str:
+    """One line for the sweep, and one for each job.
+
+    Args:
+        sweep: what is known of it.
+        everything: show the jobs that are done, also where there are many.
+    """
+    counts = sweep.counts()
+    left = counts[CUT] + counts[LEFT]
+    cut = f" ({counts[CUT]} of them cut off)" if counts[CUT] else ""
+    lines = [
+        f"{_printable(str(sweep.folder))}: {counts[DONE]} of {len(sweep.jobs)} done, "
+        f"{counts[RUNNING]} running, {counts[FAILURE]} failed, {left} left{cut}"
+    ]
+    shown = [
+        job for job in sweep.jobs if everything or len(sweep.jobs) <= SHOWN or job.state != DONE
+    ]
+    rows = [("job", "state", "iterations", "seconds", ""), *map(_row, shown)]
+    widths = [max(len(row[i]) for row in rows) for i in range(4)]
+    lines += [
+        f"  {name.ljust(widths[0])}  {state.ljust(widths[1])}  {iterations.rjust(widths[2])}  "
+        f"{seconds.rjust(widths[3])}  {reason}".rstrip()
+        for name, state, iterations, seconds, reason in rows
+        if shown
+    ]
+    return "\n".join(lines)
+
+
+def _row(job: JobStatus) -> tuple[str, ...]:
+    iterations = "–" if job.iterations is None else f"{job.iterations:,}"
+    if job.state != DONE and job.iterations is not None and job.cap is not None:
+        iterations += f" of {job.cap:,}"
+    seconds = "–" if job.seconds is None else f"{job.seconds:,.1f}"
+    return _printable(job.name), job.state, iterations, seconds, _printable(job.reason)
+
+
+def _printable(text: str) -> str:
+    """A text from a file or a folder's name, without what would move a terminal's cursor."""
+    return "".join(c if c.isprintable() else "?" for c in text)

@@ -1,0 +1,94 @@
+"""What the folder of a sweep says beside its jobs: which ones were asked for, which ones failed.
+
+    sweep.json              the jobs that were asked for, as long as one of them is not finished
+    .failed/<job>.json      why a job failed, until it is finished
+
+Both are small files that appear at once and whole, written by several processes; neither is there
+once everything is finished, so that an interrupted sweep ends with the files of any other.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from trl_explore.jobs.columns import RUN
+
+SWEEP, FAILED, MULTIRUN = "sweep.json", ".failed", "multirun.yaml"
+
+
+def begin_sweep(sweep: Path, jobs: Sequence[str]) -> None:
+    """Write down which jobs are asked for; those of an earlier sweep that are not done stay."""
+    asked = dict.fromkeys([*jobs, *_unfinished(sweep, read_asked(sweep))])
+    _write(sweep / SWEEP, {"jobs": list(asked)})
+
+
+def end_sweep(sweep: Path) -> None:
+    """Remove what is no longer needed, and the folder itself if no job left anything in it."""
+    with suppress(OSError):
+        if not _unfinished(sweep, read_asked(sweep)):
+            (sweep / SWEEP).unlink(missing_ok=True)
+        if {path.name for path in sweep.iterdir()} <= {SWEEP, FAILED, MULTIRUN}:
+            for path in (*(sweep / FAILED).glob("*.json"), sweep / SWEEP, sweep / MULTIRUN):
+                path.unlink(missing_ok=True)
+            if (sweep / FAILED).is_dir():
+                (sweep / FAILED).rmdir()
+            sweep.rmdir()
+
+
+def _unfinished(sweep: Path, jobs: Iterable[str]) -> list[str]:
+    return [job for job in jobs if not (sweep / job / RUN).is_file()]
+
+
+def read_asked(sweep: Path) -> list[str]:
+    """The names of the jobs that were asked for; none where nothing legible says so."""
+    try:
+        jobs = json.loads((sweep / SWEEP).read_text(encoding="utf-8"))["jobs"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return []
+    return [job for job in jobs if is_name(job)] if isinstance(jobs, list) else []
+
+
+def is_name(job: object) -> bool:
+    """Whether a text that was read from a file names an entry of a folder, and no other place."""
+    return isinstance(job, str) and job not in ("", ".", "..") and not {"/", "\0"} & set(job)
+
+
+def record_failure(job: Path, reason: str) -> None:
+    """Write down why a job failed."""
+    with suppress(OSError):  # the reason is told on the terminal in any case
+        (job.parent / FAILED).mkdir(exist_ok=True)
+        _write(job.parent / FAILED / f"{job.name}.json", {"job": job.name, "reason": reason})
+
+
+def forget_failure(job: Path) -> None:
+    """Remove the record that a job failed; it is finished now."""
+    with suppress(OSError):
+        (job.parent / FAILED / f"{job.name}.json").unlink()
+        (job.parent / FAILED).rmdir()
+
+
+def read_failures(sweep: Path) -> dict[str, str]:
+    """The reason for every job that failed, by name."""
+    reasons = {}
+    with suppress(OSError):
+        for path in sorted((sweep / FAILED).iterdir()):
+            if path.suffix != ".json":
+                continue
+            try:
+                reasons[path.stem] = str(json.loads(path.read_text(encoding="utf-8"))["reason"])
+            except (OSError, ValueError, KeyError, TypeError, RecursionError):
+                reasons[path.stem] = "the reason is not legible"
+    return reasons
+
+
+def _write(path: Path, content: object) -> None:
+    temporary = path.with_name(f".{os.getpid()}.{path.name[:200]}.tmp")
+    try:
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,92 @@
+"""The running mean of earlier episodes, step by step."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from trl_explore.checks import check_number
+from trl_explore.objectives.baselines.baseline import Baseline
+from trl_explore.objectives.episodes import Episodes
+
+
+class StepMean(Baseline):
+    """b_t = mean of G_t over earlier episodes of the same trial that reached step t.
+
+    Unbiased: it depends on earlier episodes only (Greensmith, Bartlett & Baxter 2004, §3, for
+    baselines in general). At a step that no earlier episode has reached, b_t = 0.
+
+    Args:
+        decay: λ in [0, 1]: an episode that is j episodes back counts λ^j; 1 is the plain mean,
+            less than 1 forgets what the policy did when it was worse.
+
+    Raises:
+        ValueError: if ``decay`` is not in [0, 1].
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> done, trial = torch.tensor([False, True]), torch.zeros(2).long()
+        >>> episodes = Episodes(TensorDict({}, [2]), torch.ones(2), done, trial, 1, 1.0)
+        >>> baseline = StepMean()
+        >>> baseline.step(episodes)
+        >>> baseline(episodes)
+        tensor([2., 1.])
+    """
+
+    def __init__(self, decay: float = 1.0) -> None:
+        super().__init__()
+        self.decay = check_number("decay", decay, 0, 1)
+        self.total, self.count = torch.zeros(0, 0).double(), torch.zeros(0, 0).double()
+
+    def forward(self, episodes: Episodes) -> Tensor:
+        """The running mean at the frame's step [frames]."""
+        if not len(episodes):
+            return episodes.reward
+        self._reserve(episodes)
+        place = episodes.trial, episodes.step
+        mean = self.total[place] / self.count[place].clamp(min=1e-300)
+        return mean.to(episodes.reward.dtype)
+
+    def step(self, episodes: Episodes) -> None:
+        """Enter the episodes of an iteration, in their order."""
+        if not len(episodes):
+            return
+        self._reserve(episodes)
+        rank = _rank(episodes.owner)
+        for j in range(int(rank.max()) + 1):  # the j-th episode of every trial
+            seen = episodes.owner[rank == j]
+            self.total[seen] *= self.decay
+            self.count[seen] *= self.decay
+            frames = rank[episodes.index] == j
+            place = episodes.trial[frames], episodes.step[frames]
+            self.total[place] += episodes.returns[frames].double()
+            self.count[place] += 1
+
+    def _reserve(self, episodes: Episodes) -> None:
+        """Make room for more trials or longer episodes."""
+        trials, steps = self.total.shape
+        longest = int(episodes.step.max()) + 1
+        if episodes.trials > trials or longest > steps:
+            grown = max(episodes.trials, trials), max(longest, min(2 * steps, longest + 500), steps)
+            for name in ("total", "count"):
+                new = torch.zeros(grown, dtype=torch.float64)
+                new[:trials, :steps] = getattr(self, name)
+                setattr(self, name, new)
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """What has been learned."""
+        return {"total": self.total.clone(), "count": self.count.clone()}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore what ``get_extra_state`` gave."""
+        self.total, self.count = state["total"].clone(), state["count"].clone()
+
+
+def _rank(owner: Tensor) -> Tensor:
+    """The number of every episode among those of its trial [episodes]."""
+    first = torch.ones_like(owner, dtype=torch.bool)
+    first[1:] = owner[1:] != owner[:-1]
+    place = torch.arange(len(owner))
+    return place - torch.where(first, place, 0).cummax(0).values

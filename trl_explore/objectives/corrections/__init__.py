@@ -1,0 +1,23 @@
+"""Off-policy corrections: what a gradient of π may make of data that came from μ."""
+
+from trl_explore.objectives.corrections.behaviour import Behaviour, BehaviourActor
+from trl_explore.objectives.corrections.correction import (
+    ImportanceWeights,
+    NoCorrection,
+    log_ratio_of,
+)
+from trl_explore.objectives.corrections.importance import PerDecision, PerStep, Trajectory
+
+Correction = NoCorrection
+
+__all__ = [
+    "Behaviour",
+    "BehaviourActor",
+    "Correction",
+    "ImportanceWeights",
+    "NoCorrection",
+    "PerDecision",
+    "PerStep",
+    "Trajectory",
+    "log_ratio_of",
+]

@@ -1,0 +1,133 @@
+"""The advantage as the data gave it, and what the corrections share."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+from torchrl.modules import ProbabilisticActor
+
+from trl_explore.checks import check_flag, check_number
+from trl_explore.numerics.score import lane_sum
+from trl_explore.objectives.episodes import Episodes
+from trl_explore.strategies import BaseStrategy
+
+
+class NoCorrection:
+    """A_t = G_t − b_t: the data are taken as if they came from π (the thesis).
+
+    The gradient Σ_t A_t ∇log π(a_t|s_t) is unbiased only where μ = π. Under ε-greedy, argmax or a
+    temperature other than 1, it follows neither the gradient of π's return nor of μ's.
+
+    Example:
+        >>> NoCorrection().needs_log_prob
+        False
+    """
+
+    needs_log_prob: ClassVar[bool] = False
+    """Whether it needs log μ(a|s), in "action_log_prob"."""
+
+    def actor(
+        self, actor: ProbabilisticActor, strategy: BaseStrategy | None = None
+    ) -> ProbabilisticActor:
+        """The distribution whose score function the loss takes: π, or what stands in its place.
+
+        Args:
+            actor: π.
+            strategy: what the data will be collected with.
+
+        Raises:
+            ValueError: if the correction does not exist for this strategy.
+        """
+        return actor
+
+    def advantage(
+        self, episodes: Episodes, baseline: Tensor | float, log_ratio: Tensor | None
+    ) -> Tensor:
+        """The factor of ∇log π(a_t|s_t) [frames].
+
+        Args:
+            episodes: the data.
+            baseline: b_t [frames], or one number.
+            log_ratio: log π(a_t|s_t) − log μ(a_t|s_t) [frames]; None where it is not needed.
+        """
+        if isinstance(baseline, float) and baseline == 0:
+            return episodes.returns
+        return episodes.returns - baseline
+
+
+class ImportanceWeights(NoCorrection):
+    """What the importance weights share: clipping, normalisation, and their demand on μ.
+
+    Weights need the exact μ(a|s) of every frame, and μ(a|s) > 0 wherever π(a|s) > 0. A strategy
+    that never takes some action, as argmax does, fulfils the first and not the second: what the
+    data do not contain, no weight can bring back, and the estimate stays biased.
+
+    Args:
+        clip: weights w are replaced by min(w, clip) (Ionides 2008): less variance, biased;
+            None: not at all.
+        self_normalize: whether weights are divided by their mean over the trial's data of the
+            iteration (Hesterberg 1995; Precup, Sutton & Singh 2000): less variance, biased, but
+            consistent in the number of episodes.
+
+    Raises:
+        ValueError: if ``clip`` is not positive.
+    """
+
+    needs_log_prob: ClassVar[bool] = True
+
+    def __init__(self, clip: float | None = None, self_normalize: bool = False) -> None:
+        self.clip = None if clip is None else check_number("clip", clip, 0, low_open=True)
+        self.self_normalize = check_flag("self_normalize", self_normalize)
+
+    def actor(
+        self, actor: ProbabilisticActor, strategy: BaseStrategy | None = None
+    ) -> ProbabilisticActor:
+        """π, if the strategy states its exact probabilities."""
+        if strategy is not None and not strategy.exact:
+            raise ValueError(
+                f"{type(self).__name__} needs the exact probability of every action, which does "
+                f"not exist for {type(strategy).__name__}; correction=none goes with any strategy"
+            )
+        return actor
+
+    def _clipped(self, log_weight: Tensor) -> Tensor:
+        """Log min(w, clip), of log w."""
+        return log_weight if self.clip is None else log_weight.clamp(max=math.log(self.clip))
+
+
+def shares(log_weight: Tensor, group: Tensor, groups: int) -> Tensor:
+    """The weights divided by their mean over a group: w_i / mean{w_j: group_j = group_i} [n].
+
+    Weights of long episodes are too small for a number; their quotients are not, and only those
+    are formed. Where all weights of a group are 0, so are the quotients.
+
+    Args:
+        log_weight: log w [n].
+        group: [n] int64 in [0, groups).
+        groups: their number.
+
+    Example:
+        >>> shares(torch.tensor([-3000.0, -3000.0]), torch.tensor([0, 0]), 1)
+        tensor([1., 1.])
+    """
+    lowest = torch.finfo(log_weight.dtype).min  # in the place of −∞, for differences
+    largest = log_weight.new_full((groups,), lowest)
+    largest = largest.scatter_reduce(0, group, log_weight, "amax")
+    weight = (log_weight - largest[group]).exp()
+    count = torch.bincount(group, minlength=groups).clamp(min=1)
+    mean = lane_sum(weight, group, groups) / count
+    return weight / mean.clamp(min=torch.finfo(mean.dtype).tiny)[group]
+
+
+def log_ratio_of(log_prob: Tensor, behaviour: Tensor) -> Tensor:
+    """Log π − log μ of every frame [frames], in double: long products of ratios are formed of it.
+
+    Raises:
+        ValueError: if an action in the data has probability 0 under μ.
+    """
+    if bool((behaviour == -torch.inf).any()):
+        raise ValueError("an action in the data has probability 0 under the behaviour policy")
+    return log_prob.double() - behaviour.double()

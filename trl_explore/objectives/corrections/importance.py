@@ -1,0 +1,112 @@
+"""The ratio of every single action."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from trl_explore.objectives.corrections.correction import ImportanceWeights, shares
+from trl_explore.objectives.episodes import Episodes
+
+
+class PerStep(ImportanceWeights):
+    """A_t = ρ_t · (G_t − b_t), with ρ_t = π(a_t|s_t) / μ(a_t|s_t).
+
+    Corrects which action was taken in s_t. What it leaves as it is: the states, which are those
+    that μ visits, and the rewards behind a_t, which are those of μ. So the expected gradient is
+    Σ_s d_μ(s) Σ_a ∇π(a|s) Q_μ(s, a) (Degris, White & Sutton 2012, "Off-policy actor-critic",
+    eq. 5, with Q_μ in the place of Q_π). It points uphill for π wherever Q_μ and Q_π order the
+    actions alike. Exactly unbiased where μ = π, and for episodes of one step.
+
+    With ``self_normalize`` ρ_t is divided by its mean over the trial's frames.
+    Arguments are those of ``ImportanceWeights``.
+
+    Example:
+        >>> PerStep(clip=2.0).clip
+        2.0
+    """
+
+    def advantage(
+        self, episodes: Episodes, baseline: Tensor | float, log_ratio: Tensor | None
+    ) -> Tensor:
+        """ρ_t · (G_t − b_t) [frames]."""
+        assert log_ratio is not None
+        log_weight = self._clipped(log_ratio)
+        if self.self_normalize:
+            weight = shares(log_weight, episodes.trial, episodes.trials)
+        else:
+            weight = log_weight.exp()
+        returns = episodes.returns
+        return weight.to(returns.dtype) * (returns - baseline)
+
+
+class PerDecision(ImportanceWeights):
+    """A_t = Σ_{j ≥ t} γ^{j−t} C_j r_j − C_t b_t, with C_j = Π_{k ≤ j} π(a_k|s_k) / μ(a_k|s_k).
+
+    A reward is weighted with the actions that led to it, not with those that came after, whose
+    ratios have mean 1. Unbiased exactly where ``Trajectory`` is, with less variance (Precup,
+    Sutton & Singh 2000, §3).
+
+    With ``self_normalize`` C_j is divided by its mean over the trial's episodes of the iteration
+    at the same step, where an episode that is over counts with its last C; with one episode per
+    update C is then 1, and nothing is corrected. ``clip`` bounds C.
+    Arguments are those of ``ImportanceWeights``.
+
+    Example:
+        >>> PerDecision(self_normalize=True).self_normalize
+        True
+    """
+
+    def advantage(
+        self, episodes: Episodes, baseline: Tensor | float, log_ratio: Tensor | None
+    ) -> Tensor:
+        """Σ_{j ≥ t} γ^{j−t} C_j r_j − C_t b_t [frames]."""
+        assert log_ratio is not None
+        log_weight = self._clipped(episodes.cumulated(log_ratio))
+        weight = _shares_at_step(episodes, log_weight) if self.self_normalize else log_weight.exp()
+        weight = weight.to(episodes.reward.dtype)
+        returns = episodes.to_go(weight * episodes.reward)
+        return returns - weight * baseline
+
+
+def _shares_at_step(episodes: Episodes, log_weight: Tensor) -> Tensor:
+    """C divided by its mean at every frame's step over the episodes of its trial [frames]."""
+    steps = int(episodes.step.max()) + 1
+    last = log_weight[episodes.ends].unsqueeze(1)
+    grid = last.repeat(1, steps)  # what an episode counts with when it is over
+    grid[episodes.index, episodes.step] = log_weight
+    group = episodes.owner.unsqueeze(1) * steps + torch.arange(steps, device=grid.device)
+    found = shares(grid.reshape(-1), group.reshape(-1), episodes.trials * steps)
+    return found.reshape(grid.shape)[episodes.index, episodes.step]
+
+
+class Trajectory(ImportanceWeights):
+    """A_t = W · (G_t − b_t), with W = Π_j π(a_j|s_j) / μ(a_j|s_j) over the whole episode.
+
+    Unbiased for the gradient of π's return (at γ = 1, or with the factor γ^t) for every strategy
+    with μ > 0 wherever π > 0: ε-greedy, softmax at any temperature, and any mixture with a share
+    of the uniform or softmax corner; not for argmax (Precup, Sutton & Singh 2000, "Eligibility
+    traces for off-policy policy evaluation", §2; Sutton & Barto, §5.5). Its variance grows
+    exponentially with the length of the episode.
+
+    With ``self_normalize`` W is divided by its mean over the trial's episodes of the iteration;
+    with one episode per update W is then 1, and nothing is corrected. ``clip`` bounds W.
+    Arguments are those of ``ImportanceWeights``.
+
+    Example:
+        >>> Trajectory().clip is None
+        True
+    """
+
+    def advantage(
+        self, episodes: Episodes, baseline: Tensor | float, log_ratio: Tensor | None
+    ) -> Tensor:
+        """W · (G_t − b_t) [frames]."""
+        assert log_ratio is not None
+        log_weight = self._clipped(episodes.by_episode(log_ratio))
+        if self.self_normalize:
+            weight = shares(log_weight, episodes.owner, episodes.trials)
+        else:
+            weight = log_weight.exp()
+        returns = episodes.returns
+        return weight.to(returns.dtype)[episodes.index] * (returns - baseline)

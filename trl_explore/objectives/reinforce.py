@@ -1,0 +1,311 @@
+"""The REINFORCE loss."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import cast
+
+import torch
+from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
+from tensordict.nn import ProbabilisticTensorDictSequential, dispatch
+from torch import Tensor
+from torchrl.modules import ProbabilisticActor
+from torchrl.objectives.common import LossModule
+
+from trl_explore.checks import check_flag, check_integer, check_number
+from trl_explore.numerics.score import linear_softmax_gradient, linear_softmax_reinforce, serves
+from trl_explore.objectives.baselines import Baseline, Constant, as_baseline
+from trl_explore.objectives.corrections import Correction, NoCorrection, log_ratio_of
+from trl_explore.objectives.episodes import Episodes, entry, read_episodes
+from trl_explore.policies.actor import frame_distribution, frame_log_prob, linear_weight, score_sum
+from trl_explore.strategies import BaseStrategy
+
+REDUCTIONS = ("sum", "mean", "none")
+EPS = 1e-8
+"""Added to the standard deviation that advantages are divided by."""
+
+
+class ReinforceLoss(LossModule):
+    """REINFORCE with reward-to-go: one loss for each trial, no critic.
+
+    L_k = −w · Σ_{t ∈ frames of trial k} A_t · log π(a_t | s_t),   A_t = G_t − b_t,
+    G_t = Σ_{j ≥ t} γ^{j−t} r_j, to the end of the episode
+
+    (Williams 1992; Sutton & Barto, §13.3; thesis, §2.1 and appendix A.3). Without a correction the
+    gradient is that of the expected return only if the data are on-policy (μ = π), and γ = 1 or
+    ``discount_steps``. A correction changes A_t, or puts μ in the place of π (``corrections``).
+    Adam divides a constant factor such as w out again, but for its ε = 1e-8.
+
+    An episode ends where "done" is true. *Terminated* and *truncated* episodes are treated alike:
+    the return stops with the last reward, nothing is bootstrapped behind a time limit; so is an
+    episode that the data break off. Data of two layouts are served:
+
+    * flat [frames], the episodes of one or more trials one after the other ("trial" says whose;
+      without it, all frames are one trial's);
+    * [batch, time] as TorchRL's collectors deliver it (without "trial", every row is a trial).
+      Frames that TorchRL marks as padding, in ("collector", "mask"), count for nothing.
+
+    Reads what the actor reads, "action", ("next", "reward") and ("next", "done") [*batch, 1],
+    "trial" [*batch] int64, and where a correction needs it "action_log_prob" [*batch]. Returns
+    "loss_actor" (reduced) and "trial_loss" [trials], the same losses before reduction, detached;
+    with a learned baseline also "loss_value" (reduced). After the update, ``step`` lets the
+    baseline learn from the same data.
+
+    Args:
+        actor_network: the target policy π, any ``ProbabilisticActor``.
+
+    Keyword Args:
+        gamma: discount γ in [0, 1].
+        weight: w > 0; the thesis multiplies the loss with the learning rate (appendix A.3).
+        correction: what makes up for μ ≠ π; None: nothing (the thesis).
+        baseline: b, a number (0 in the thesis) or one of ``baselines``.
+        discount_steps: whether A_t is multiplied with γ^t: without, the gradient is that of no
+            objective at γ < 1 (Sutton & Barto, §13.3; Nota & Thomas 2020).
+        normalize_advantage: whether the A_t of a trial's iteration are scaled to mean 0 and
+            standard deviation 1 (with no baseline and correction: its returns). Biased.
+        entropy_coeff: c >= 0; L_k also contains −w · c · Σ_t H(π(·|s_t)) (Williams & Peng 1991);
+            under ``correction=behaviour``, of μ.
+        strategy: what the data are collected with; a correction may refuse it, or need it.
+        trials: the number of trials; None takes the largest "trial" of the data plus one.
+        reduction: of the trials' losses: "sum", "mean" or "none".
+        functional: as in TorchRL: whether the parameters are copied into the loss's own container.
+
+    Raises:
+        ValueError: if a number is out of range, the reduction is unknown, or the correction does
+            not exist for the strategy.
+        KeyError: if the data lack an entry.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from tensordict.nn import TensorDictModule
+        >>> from torchrl.modules import ProbabilisticActor
+        >>> logits = TensorDictModule(torch.nn.Linear(4, 2), ["observation"], ["logits"])
+        >>> actor = ProbabilisticActor(
+        ...     logits, in_keys=["logits"], distribution_class=torch.distributions.Categorical
+        ... )
+        >>> loss = ReinforceLoss(actor, gamma=0.99, weight=1.0)
+        >>> end = torch.tensor([False, False, True]).unsqueeze(-1)
+        >>> data = TensorDict({
+        ...     "observation": torch.randn(3, 4),
+        ...     "action": torch.tensor([0, 1, 1]),
+        ...     "next": {"reward": torch.ones(3, 1), "done": end},
+        ... }, [3])
+        >>> loss(data)["loss_actor"].backward()
+    """
+
+    @dataclass
+    class _AcceptedKeys:
+        """The entries that ``set_keys`` can rename."""
+
+        action: NestedKey = "action"
+        reward: NestedKey = "reward"
+        done: NestedKey = "done"
+        trial: NestedKey = "trial"
+        sample_log_prob: NestedKey = "action_log_prob"
+
+    tensor_keys: _AcceptedKeys
+    default_keys = _AcceptedKeys
+    out_keys = ["loss_actor", "trial_loss"]  # noqa: RUF012  # pyright: ignore
+
+    actor_network: ProbabilisticTensorDictSequential
+    actor_network_params: TensorDictParams
+    target_actor_network_params: TensorDictParams
+
+    def __init__(
+        self,
+        actor_network: ProbabilisticTensorDictSequential,
+        *,
+        gamma: float = 0.99,
+        weight: float = 0.05,
+        correction: Correction | None = None,
+        baseline: Baseline | float = 0.0,
+        discount_steps: bool = False,
+        normalize_advantage: bool = False,
+        entropy_coeff: float = 0.0,
+        strategy: BaseStrategy | None = None,
+        trials: int | None = None,
+        reduction: str = "sum",
+        functional: bool = True,
+    ) -> None:
+        super().__init__()
+        self._functional = functional
+        self._in_keys = None
+        self.gamma = check_number("gamma", gamma, 0, 1)
+        self.weight = check_number("weight", weight, 0, low_open=True)
+        self.baseline = as_baseline(baseline)
+        self.correction = correction or NoCorrection()
+        self.discount_steps = check_flag("discount_steps", discount_steps)
+        self.normalize_advantage = check_flag("normalize_advantage", normalize_advantage)
+        self.entropy_coeff = check_number("entropy_coeff", entropy_coeff, 0)
+        actor_network = self.correction.actor(cast(ProbabilisticActor, actor_network), strategy)
+        self.trials = None if trials is None else check_integer("trials", trials, 1)
+        if reduction not in REDUCTIONS:
+            raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}")
+        self.reduction = reduction
+        if functional:
+            self.convert_to_functional(actor_network, "actor_network", create_target_params=False)
+        else:
+            self.actor_network = actor_network
+
+    @property
+    def functional(self) -> bool:
+        """Whether the loss holds a copy of the parameters' container."""
+        return self._functional
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """The entries that a call without a TensorDict takes as keyword arguments."""
+        if self._in_keys is None:
+            keys = self.tensor_keys
+            own = [keys.action, ("next", keys.reward), ("next", keys.done), keys.trial]
+            if self.correction.needs_log_prob:
+                own.append(keys.sample_log_prob)
+            actors = [key for key in self.actor_network.in_keys if key not in own]
+            self._in_keys = [*own, *actors]
+        return self._in_keys
+
+    @in_keys.setter
+    def in_keys(self, values: list[NestedKey]) -> None:
+        self._in_keys = values
+
+    def _forward_value_estimator_keys(self, **kwargs: NestedKey) -> None:
+        self._in_keys = None
+
+    @dispatch  # pyright: ignore[reportArgumentType] - it is its own decorator
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The losses of a batch of episodes."""
+        episodes, _ = self._episodes(tensordict)
+        frames, trial, trials = episodes.tensordict, episodes.trial, episodes.trials
+        action = entry(frames, self.tensor_keys.action)
+        with self._with_parameters():
+            factor = self._factor(episodes, action)
+            score = score_sum(self.actor_network, frames, action, factor, trial, trials)
+            trial_loss = score * -self.weight
+            if self.entropy_coeff:
+                entropy: Tensor = frame_distribution(self.actor_network, frames).entropy()
+                bonus = episodes.by_trial(entropy.reshape(-1))
+                trial_loss = trial_loss - self.weight * self.entropy_coeff * bonus
+        out = {"loss_actor": self._reduce(trial_loss), "trial_loss": trial_loss.detach()}
+        value_loss = self.baseline.loss(episodes)
+        if value_loss is not None:
+            out["loss_value"] = self._reduce(value_loss)
+        return TensorDict._new_unsafe(out, batch_size=torch.Size([]))
+
+    def backward(self, tensordict: TensorDictBase) -> Tensor:
+        """Add the gradients of the losses to those of the parameters, and return "trial_loss".
+
+        The losses are called and differentiated, those of trials not reduced by their sum. Where π
+        is the softmax of a linear policy its gradient is known without a graph, and that takes a
+        part of the time; it is the same one, bit for bit.
+        """
+        trial_loss = self._without_graph(tensordict)
+        if trial_loss is None:
+            losses = self(tensordict)
+            total = losses.get("loss_actor").sum()
+            value_loss = losses.get("loss_value", None)
+            (total if value_loss is None else total + value_loss.sum()).backward()
+            trial_loss = losses.get("trial_loss")
+        return trial_loss
+
+    def _without_graph(self, tensordict: TensorDictBase) -> Tensor | None:
+        """``backward`` where the gradient has a formula; None, and nothing is done, elsewhere."""
+        if self.entropy_coeff or self.reduction == "mean":
+            return None
+        hooked = self._forward_hooks or len(self._forward_pre_hooks) > 1  # one is LossModule's own
+        if hooked or type(self).forward is not ReinforceLoss.forward:  # the loss is something else
+            return None
+        episodes, _ = self._episodes(tensordict)
+        frames, actor, baseline = episodes.tensordict, self.actor_network, self.baseline
+        with self._with_parameters():
+            weight = linear_weight(actor, frames, episodes.trials)
+            if weight is None or not (weight.requires_grad and weight.is_leaf):
+                return None
+            if weight._backward_hooks or weight._post_accumulate_grad_hooks:
+                return None
+            observation, action = frames.get("observation"), entry(frames, self.tensor_keys.action)
+            if not serves(observation, weight, episodes.reward):
+                return None
+            found, scale, trial = None, -self.weight, episodes.trial
+            if type(baseline) is Constant and self._is_return_alone():
+                found = linear_softmax_reinforce(
+                    observation, weight, action, episodes.reward, episodes.done, trial,
+                    gamma=self.gamma, baseline=baseline.value, scale=scale, into=weight.grad,
+                )  # fmt: skip
+            if found is None:
+                factor = self._factor(episodes, action)
+                if not serves(observation, weight, factor):
+                    return None
+                found = linear_softmax_gradient(
+                    observation, weight, action, factor, trial, scale, weight.grad
+                )
+        trial_loss, weight.grad = found
+        value_loss = baseline.loss(episodes)
+        if value_loss is not None:
+            value_loss.sum().backward()
+        return trial_loss
+
+    def _is_return_alone(self) -> bool:
+        """Whether the factor of ∇log π is the return less the baseline, and no more."""
+        more = self.discount_steps or self.normalize_advantage
+        return type(self.correction) is NoCorrection and not more
+
+    def advantage(self, tensordict: TensorDictBase) -> Tensor:
+        """The factor of ∇log π(a_t|s_t) for every frame, in the shape of the data [*batch].
+
+        G_t − b_t where nothing is corrected; 0 for padding.
+        """
+        episodes, mask = self._episodes(tensordict)
+        action = entry(episodes.tensordict, self.tensor_keys.action)
+        with self._with_parameters():
+            flat = self._factor(episodes, action)
+        if mask is None:
+            return flat.reshape(tensordict.shape)
+        out = flat.new_zeros(tensordict.shape)
+        out[mask] = flat
+        return out
+
+    @property
+    def divisible(self) -> bool:
+        """Whether some trials' losses need no others' data; what learns in ``step`` needs all."""
+        learns = type(self.baseline).step is not Baseline.step
+        return not (self.trials is None or learns or type(self).step is not ReinforceLoss.step)
+
+    def step(self, tensordict: TensorDictBase) -> None:
+        """Let the baseline learn from an iteration's data: once, after the update."""
+        if type(self.baseline).step is not Baseline.step:
+            self.baseline.step(self._episodes(tensordict)[0])
+
+    @torch.no_grad()
+    def _factor(self, episodes: Episodes, action: Tensor) -> Tensor:
+        """The factor of ∇log π of every frame [frames]."""
+        log_ratio = None
+        if self.correction.needs_log_prob:
+            behaviour = entry(episodes.tensordict, self.tensor_keys.sample_log_prob)
+            target = frame_log_prob(self.actor_network, episodes.tensordict, action)
+            log_ratio = log_ratio_of(target, behaviour.reshape(-1))
+        baseline = self.baseline(episodes)
+        factor = self.correction.advantage(episodes, baseline, log_ratio)
+        if self.discount_steps:
+            factor = factor * self.gamma ** episodes.step.to(factor.dtype)
+        if self.normalize_advantage:
+            factor = factor - episodes.trial_mean(factor)[episodes.trial]
+            variance = episodes.trial_mean(factor**2)[episodes.trial]
+            factor = factor / (variance.sqrt() + EPS)
+        return factor
+
+    def _episodes(self, tensordict: TensorDictBase) -> tuple[Episodes, Tensor | None]:
+        """Flat frames, and which of the data [*batch] they are; None: all."""
+        masks = self._loss_mask_keys()
+        return read_episodes(tensordict, self.tensor_keys, masks, self.trials, self.gamma)
+
+    def _with_parameters(self) -> contextlib.AbstractContextManager[object]:
+        if self.functional:
+            return self.actor_network_params.to_module(self.actor_network)
+        return contextlib.nullcontext()
+
+    def _reduce(self, trial_loss: Tensor) -> Tensor:
+        if self.reduction == "sum":
+            return trial_loss.sum()
+        return trial_loss.mean() if self.reduction == "mean" else trial_loss

@@ -1,0 +1,176 @@
+"""Which trials of several jobs are the same: pairs, pooling, and trials counted twice.
+
+(``seed``, trial index) determines the random streams of a trial. Two strategies on the same
+(seed, trial) are a pair; the same strategy on the same (seed, trial) is one and the same trial,
+in whatever experiment it was run, and counts once.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trl_explore.statistics.outcomes import Outcomes
+
+# The groups of a configuration that shape the learning of an agent. Where and how it was run,
+# how many trials, and when it was stopped do not make it another agent.
+AGENT_GROUPS = (
+    "env", "policy", "loss", "correction", "baseline", "optimizer", "episodes_per_update",
+)  # fmt: skip
+# Environments come with a proposal for the stopping rule, and with the number of processes that
+# step them: neither is part of the agent.
+NO_AGENT = ("score_threshold", "score_window", "max_iterations", "workers")
+PER_TRIAL = ("trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status")
+
+
+@dataclass(frozen=True)
+class SharedTrials:
+    """Two jobs, identified by (experiment, name), that contain ``count`` identical trials."""
+
+    first: tuple[str, str]
+    second: tuple[str, str]
+    count: int
+
+
+def configuration_key(outcomes: Outcomes) -> str:
+    """Canonical text of what makes the agent: strategy, parameters, and ``AGENT_GROUPS``.
+
+    Equal for jobs whose trials are the same agents; 1 and 1.0 are the same number. Caps and
+    thresholds do not enter: a trial stopped later is still the same trial.
+    """
+    groups = {key: outcomes.config[key] for key in AGENT_GROUPS if key in outcomes.config}
+    if isinstance(env := groups.get("env"), Mapping):
+        groups["env"] = {key: value for key, value in env.items() if key not in NO_AGENT}
+    content = [outcomes.strategy, _canonical(outcomes.parameters), _canonical(groups)]
+    return json.dumps(content, sort_keys=True, default=str)
+
+
+def trial_keys(outcomes: Outcomes) -> list[tuple[int, int]]:
+    """(seed, trial) of every trial, in order.
+
+    Raises:
+        ValueError: the same (seed, trial) occurs twice.
+
+    """
+    keys = list(zip(outcomes.seed.tolist(), outcomes.trial.tolist(), strict=True))
+    if len(set(keys)) < len(keys):
+        twice = next(key for i, key in enumerate(keys) if key in keys[:i])
+        raise ValueError(f"{outcomes.name}: seed {twice[0]}, trial {twice[1]} occurs twice")
+    return keys
+
+
+def pair_indices(a: Outcomes, b: Outcomes) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Positions in ``a`` and in ``b`` of the trials (seed, trial) that both have, [n_pairs]."""
+    keys_a = trial_keys(a)
+    where_b = {key: j for j, key in enumerate(trial_keys(b))}
+    pairs = [(i, where_b[key]) for i, key in enumerate(keys_a) if key in where_b]
+    index = np.array(pairs, dtype=np.intp).reshape(-1, 2)
+    return index[:, 0], index[:, 1]
+
+
+def shared_trials(jobs: Sequence[Outcomes]) -> list[SharedTrials]:
+    """All pairs of jobs that contain the same trials of the same configuration.
+
+    Such jobs (ε = 0.3 of the thesis and of the ε grid, with one seed) are not independent
+    evidence: never pool, compare or count them as if they were.
+    """
+    found = []
+    for a, b in combinations(jobs, 2):
+        count = len(pair_indices(a, b)[0]) if configuration_key(a) == configuration_key(b) else 0
+        if count:
+            found.append(SharedTrials((a.experiment, a.name), (b.experiment, b.name), count))
+    return found
+
+
+def refuse_shared(jobs: Sequence[Outcomes]) -> None:
+    """Raise ValueError where :func:`shared_trials` finds any."""
+    for shared in shared_trials(jobs):
+        a, b = "/".join(shared.first), "/".join(shared.second)
+        raise ValueError(
+            f"{a} and {b} share {shared.count} trials (same configuration, seed and trial index):"
+            " they count once; deduplicate() keeps the first of each"
+        )
+
+
+def deduplicate(jobs: Sequence[Outcomes]) -> list[Outcomes]:
+    """Drop the trials that an earlier job of the same configuration already has.
+
+    Jobs that have no trial left are dropped; the order stays.
+    """
+    seen: set[tuple[str, int, int]] = set()
+    kept = []
+    for job in jobs:
+        key = configuration_key(job)
+        keys = [(key, *trial) for trial in trial_keys(job)]
+        new = np.array([k not in seen for k in keys], dtype=bool)
+        seen.update(keys)
+        if new.any():
+            kept.append(job if new.all() else select(job, new))
+    return kept
+
+
+def select(outcomes: Outcomes, index: NDArray[Any]) -> Outcomes:
+    """Keep the trials at ``index`` (boolean [n_trials] or positions), all else unchanged."""
+    return replace(outcomes, **{name: getattr(outcomes, name)[index] for name in PER_TRIAL})
+
+
+def pool(jobs: Sequence[Outcomes]) -> Outcomes:
+    """One configuration from several jobs of it (other seeds, or other ranges of trials).
+
+    Name and experiment are those of the first job.
+
+    Raises:
+        ValueError: no job; jobs of different configurations or stopping rules; shared trials.
+
+    """
+    if not jobs:
+        raise ValueError("0 jobs: at least one is needed to pool")
+    first = jobs[0]
+    for job in jobs[1:]:
+        if configuration_key(job) != configuration_key(first):
+            raise ValueError(f"{first.name} and {job.name} are different configurations")
+        check_comparable(first, job)
+    refuse_shared(jobs)
+    if len(jobs) == 1:
+        return first
+    columns = {c: np.concatenate([getattr(job, c) for job in jobs]) for c in PER_TRIAL}
+    return replace(first, **columns)
+
+
+def check_comparable(a: Outcomes, b: Outcomes) -> None:
+    """Raise ValueError unless both were stopped by the same rule.
+
+    That is cap, threshold and window, and whether training or evaluation scores are held against
+    them.
+    """
+    for word, x, y in (
+        ("cap", a.cap, b.cap),
+        ("threshold", a.threshold, b.threshold),
+        ("window", a.window, b.window),
+        ("stopping scores", a.judged_by, b.judged_by),
+    ):
+        if x != y:
+            raise ValueError(
+                f"{a.name} has {word} {_text(x)}, {b.name} has {_text(y)}: only configurations"
+                f" with the same {word} can be compared"
+            )
+
+
+def _text(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _canonical(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _canonical(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_canonical(item) for item in value]
+    if isinstance(value, int | float | np.number) and not isinstance(value, bool):
+        return float(value)
+    return value

@@ -1,0 +1,154 @@
+"""Full exploitation of a Gaussian policy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from trl_explore.strategies.continuous import ContinuousMixture, ContinuousMixtureStrategy
+from trl_explore.strategies.schedules import Schedule, as_schedule
+
+
+class MeanAction(ContinuousMixtureStrategy):
+    """The action that the policy prefers: the mean of its Gaussian, the counterpart of argmax.
+
+    μ(·|s) = δ(loc(s))      (Silver et al. 2014, "Deterministic policy gradient algorithms", §3)
+
+    There is no density: the strategy writes no "action_log_prob", and no importance weight exists.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> state = TensorDict({"loc": torch.tensor([0.5, -2.0]), "scale": torch.ones(2)})
+        >>> MeanAction()(state)["action"]
+        tensor([ 0.5000, -2.0000])
+    """
+
+    exact = False
+
+    def mixture(self) -> ContinuousMixture:
+        """The corner of the mean."""
+        return ContinuousMixture(mean=1.0)
+
+
+class UniformAction(ContinuousMixtureStrategy):
+    """Uniform over the box of the actions, whatever the policy prefers; the counterpart of random.
+
+    μ(a|s) = Π_j 1[low_j ≤ a_j ≤ high_j] / (high_j − low_j)
+
+    Raises:
+        ValueError: if the box is not finite.
+
+    Example:
+        >>> import torch
+        >>> from torchrl.data import Bounded
+        >>> uniform = UniformAction(spec=Bounded(-2.0, 2.0, shape=(1,)))
+        >>> zero, one = torch.zeros(1), torch.ones(1)
+        >>> uniform.log_prob(zero, loc=zero, scale=one).exp()
+        tensor(0.2500)
+    """
+
+    differentiable = True
+    boxed = True
+
+    def mixture(self) -> ContinuousMixture:
+        """The uniform corner."""
+        return ContinuousMixture(uniform=1.0)
+
+
+class Gaussian(ContinuousMixtureStrategy):
+    """The Gaussian of the policy at a temperature; at T = 1 the policy itself, data on-policy.
+
+    μ(·|s) = N(loc(s), diag((T · scale(s))²))      (T = 1: Williams 1992, §6; Sutton & Barto, §13.7)
+
+    T → 0 gives the mean action. Where a schedule falls below 1e-6, T stays there: at 0 there is no
+    density.
+
+    Args:
+        temperature: T > 0, a number, one number per trial, or a schedule of the iteration.
+        options: the arguments of ``ContinuousStrategy``.
+
+    Raises:
+        ValueError: if T is not a positive number.
+
+    Example:
+        >>> import math, torch
+        >>> zero, one = torch.zeros(1), torch.ones(1)
+        >>> density = Gaussian(temperature=2.0).log_prob(zero, loc=zero, scale=one).exp()
+        >>> density * math.sqrt(math.tau)
+        tensor(0.5000)
+    """
+
+    differentiable = True
+
+    def __init__(
+        self, temperature: float | Sequence[float] | Schedule = 1.0, **options: Any
+    ) -> None:
+        super().__init__(**options)
+        self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
+
+    def mixture(self) -> ContinuousMixture:
+        """The corner of the Gaussian."""
+        return ContinuousMixture(gaussian=1.0, temperature=self.temperature(self.iteration))
+
+
+class EpsilonUniform(ContinuousMixtureStrategy):
+    """The policy's Gaussian with weight 1 − ε, uniform over the box with weight ε.
+
+    μ(·|s) = (1 − ε) · N(loc(s), diag(scale(s)²)) + ε · U(low, high)
+
+    the counterpart of a softmax with ε. Its density is exact, outside of the box too.
+
+    Args:
+        epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
+        options: the arguments of ``ContinuousStrategy``.
+
+    Raises:
+        ValueError: if ε leaves [0, 1] in any iteration, or the box is not finite.
+
+    Example:
+        >>> import math, torch
+        >>> from torchrl.data import Bounded
+        >>> mixture = EpsilonUniform(0.5, spec=Bounded(-1.0, 1.0, shape=(1,)))
+        >>> zero, one = torch.zeros(1), torch.ones(1)
+        >>> density = mixture.log_prob(zero, loc=zero, scale=one).exp()
+        >>> math.isclose(density, 0.5 / math.sqrt(math.tau) + 0.25, rel_tol=1e-6)
+        True
+    """
+
+    differentiable = True
+    boxed = True
+
+    def __init__(self, epsilon: float | Sequence[float] | Schedule = 0.3, **options: Any) -> None:
+        super().__init__(**options)
+        self.epsilon = as_schedule("epsilon", epsilon, 0, 1)
+
+    def mixture(self) -> ContinuousMixture:
+        """A point on the edge from the Gaussian to uniform."""
+        epsilon = self.epsilon(self.iteration)
+        return ContinuousMixture(gaussian=1 - epsilon, uniform=epsilon)
+
+
+class EpsilonMean(EpsilonUniform):
+    """The mean action with weight 1 − ε, uniform over the box with weight ε; as ε-greedy.
+
+    μ(·|s) = (1 − ε) · δ(loc(s)) + ε · U(low, high)
+
+    A mixture with a point has no density: the strategy writes no "action_log_prob", and no
+    importance weight exists. ``EpsilonUniform`` has one.
+
+    Args:
+        epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
+        options: the arguments of ``ContinuousStrategy``.
+
+    Raises:
+        ValueError: if ε leaves [0, 1] in any iteration, or the box is not finite.
+    """
+
+    exact = False
+    differentiable = False
+
+    def mixture(self) -> ContinuousMixture:
+        """A point on the edge from the mean to uniform."""
+        epsilon = self.epsilon(self.iteration)
+        return ContinuousMixture(mean=1 - epsilon, uniform=epsilon)

@@ -1,0 +1,237 @@
+"""Decision rules: each turns an interval or a test into a verdict, at a level that is given.
+
+Words of the thesis, and what they are taken to mean for the probability p that a trial passes:
+
+    never, always, all        no exception among the trials, and p certainly within 5 % of it
+    consistently              p > 90 %
+    almost consistently,
+    almost every time         p > 80 %
+    mostly, most of the time  p > 50 %
+
+Each claim stands by itself at the stated level. A claim of several parts holds where every part
+holds at that level (an intersection-union test, which needs no correction), and fails where
+one of its k parts fails at 1 - (1 - level)/k (Bonferroni).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import sqrt
+
+import numpy as np
+from scipy import stats
+
+from trl_explore.statistics.bootstrap import RESAMPLES
+from trl_explore.statistics.differences import mean_difference
+from trl_explore.statistics.estimates import Estimate
+from trl_explore.statistics.power import trials_for_difference, trials_for_rate_bound
+from trl_explore.statistics.proportions import pass_rate
+from trl_explore.thesis.model import (
+    FAILS,
+    HOLDS,
+    NOT_MEASURED,
+    OPEN,
+    Finding,
+    Verdict,
+)
+from trl_explore.thesis.study import NotMeasuredError, Sample, Study
+
+NEVER, CONSISTENTLY, ALMOST_ALWAYS, MOSTLY = 0.05, 0.90, 0.80, 0.50
+
+Rule = Callable[[float], Finding]
+"""Confidence level to finding."""
+
+TimeDecision = Callable[[Study, np.random.Generator, str], Finding]
+"""Study, generator and unit (``s`` or ``frames``) to finding."""
+
+
+def share_above(count: float, n: int, bound: float, what: str) -> Rule:
+    """Ask p > bound of Wilson's interval; ``what`` reads "softmax trials pass"."""
+
+    def rule(level: float) -> Finding:
+        rate = pass_rate(count, n, level=level)
+        text = f"{count:.4g} of {n} {what}: {percent(rate)}"
+        verdict = decided(rate.above(bound), rate.below(bound))
+        return Finding(verdict, text, _more_for_rate(verdict, rate, n, bound))
+
+    return rule
+
+
+def share_below(count: float, n: int, bound: float, what: str) -> Rule:
+    """Ask p < bound of Wilson's interval."""
+    return _contrary(share_above(count, n, bound, what))
+
+
+def never(count: int, n: int, what: str) -> Rule:
+    """No trial does ``what``: one refutes it; it holds with none and Wilson's bound < 5 %."""
+
+    def rule(level: float) -> Finding:
+        rate = pass_rate(count, n, level=level)
+        text = f"{count} of {n} {what}: {percent(rate)}"
+        verdict = decided(count == 0 and rate.below(NEVER), count > 0)
+        return Finding(verdict, text, _more_for_rate(verdict, rate, n, NEVER))
+
+    return rule
+
+
+def some(count: int, n: int, what: str) -> Rule:
+    """At least one trial does ``what``: the contrary of :func:`never`."""
+    return _contrary(never(count, n, what))
+
+
+def mean_less(
+    a: Sample, b: Sample, rng: np.random.Generator, *, resamples: int = RESAMPLES
+) -> Rule:
+    """mean(a) < mean(b): bootstrap interval and permutation test both, on pairs where there are."""
+
+    def rule(level: float) -> Finding:
+        if min(len(a), len(b)) == 0:
+            empty = a if len(a) == 0 else b
+            return Finding(OPEN, f"{empty.label}: no trial to average")
+        x, y, paired = align(a, b)
+        d = mean_difference(x, y, rng, paired=paired, level=level, resamples=resamples)
+        verdict = decided(d.sign() < 0, d.sign() > 0)
+        design = f"{d.n} pairs" if paired else f"{len(x)} and {len(y)} trials"
+        text = (
+            f"{a.label} minus {b.label} {interval(d.estimate, a.unit)},"
+            f" p = {p_value(d.p_value)} ({design})"
+        )
+        needed = trials_for_difference(d.sd, d.estimate.value, level=level)
+        return Finding(verdict, text, _more(verdict, needed, d.n))
+
+    return rule
+
+
+def within(
+    estimate: Callable[[float], Estimate], n: int, low: float, high: float, what: str, unit: str
+) -> Rule:
+    """Ask low ≤ θ ≤ high: holds where the interval lies inside, fails where it lies outside.
+
+    Half-lines (``low`` = -inf) are allowed. ``n`` is the number of trials behind the estimate.
+    """
+
+    def rule(level: float) -> Finding:
+        theta = estimate(level)
+        verdict = decided(theta.inside(low, high), theta.outside(low, high))
+        gap = min(abs(theta.value - low), abs(theta.value - high))
+        z = float(stats.norm.ppf((1.0 + level) / 2.0))
+        sd = (theta.high - theta.low) / (2.0 * z) * sqrt(n)
+        needed = trials_for_difference(sd, gap, level=level)
+        return Finding(verdict, f"{what} {interval(theta, unit)}", _more(verdict, needed, n))
+
+    return rule
+
+
+def all_of(rules: Sequence[Rule], level: float) -> Finding:
+    """Conjunction: see the module's text. The evidence names the parts that decide."""
+    findings = [rule(level) for rule in rules]
+    if len(rules) == 1:
+        return findings[0]
+    strict = [rule(1.0 - (1.0 - level) / len(rules)) for rule in rules]
+    if any(f.verdict == FAILS for f in strict):
+        return Finding(FAILS, _join([f.evidence for f in strict if f.verdict == FAILS]))
+    if all(f.verdict == HOLDS for f in findings):
+        return Finding(HOLDS, _join([f.evidence for f in findings]))
+    # A part that fails only without the correction is as open as one that is undecided.
+    undecided = [
+        f if f.verdict == OPEN else s
+        for f, s in zip(findings, strict, strict=True)
+        if f.verdict != HOLDS
+    ]
+    numbers = [f.trials_needed for f in undecided]
+    known = [n for n in numbers if n is not None]
+    needed = max(known) if len(known) == len(numbers) else None
+    return Finding(OPEN, "undecided: " + _join([f.evidence for f in undecided]), needed)
+
+
+def any_of(rules: Sequence[Rule]) -> Rule:
+    """Disjunction: holds where one part holds after Bonferroni, fails where every part fails."""
+    return _contrary(lambda level: all_of([_contrary(rule) for rule in rules], level))
+
+
+def with_frames(decide: TimeDecision) -> Callable[[Study, np.random.Generator], Finding]:
+    """Decide by seconds; the evidence adds what frames, free of the machine, would say.
+
+    Without seconds the verdict is ``not measured``; frames do not stand in for them, since an
+    iteration costs time beside its frames.
+    """
+
+    def both(study: Study, rng: np.random.Generator) -> Finding:
+        rng_seconds, rng_frames = rng.spawn(2)
+        frames = decide(study, rng_frames, "frames")
+        beside = f"In frames: {frames.verdict} ({frames.evidence})."
+        try:
+            seconds = decide(study, rng_seconds, "s")
+        except NotMeasuredError as missing:
+            return Finding(NOT_MEASURED, f"{missing}. {beside}")
+        return replace(seconds, evidence=f"{seconds.evidence}. {beside}")
+
+    return both
+
+
+def align(a: Sample, b: Sample) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Values of the trials both have, as pairs; without common trials all values, unpaired."""
+    where_b = {key: j for j, key in enumerate(b.keys)}
+    pairs = [(i, where_b[key]) for i, key in enumerate(a.keys) if key in where_b]
+    if not pairs:
+        return a.values, b.values, False
+    index = np.array(pairs)
+    return a.values[index[:, 0]], b.values[index[:, 1]], True
+
+
+def decided(holds: bool, fails: bool) -> Verdict:
+    """Verdict from two exclusive conditions; neither: open."""
+    return HOLDS if holds else FAILS if fails else OPEN
+
+
+def percent(rate: Estimate) -> str:
+    """Write a proportion with its interval."""
+    return (
+        f"{100 * rate.value:.1f} %, {100 * rate.level:.3g} % interval"
+        f" {100 * rate.low:.1f} to {100 * rate.high:.1f} %"
+    )
+
+
+def interval(e: Estimate, unit: str) -> str:
+    """Write a quantity with its interval."""
+    if np.isnan(e.low):
+        return f"{e.value:.3g} {unit}".strip() + " (no interval)"
+    digits = _digits(max(abs(e.low), abs(e.high)))
+    value, low, high = (f"{x:.{digits}f}" for x in (e.value, e.low, e.high))
+    return f"{value} {unit}".strip() + f", {100 * e.level:.3g} % interval {low} to {high}"
+
+
+def p_value(p: float) -> str:
+    """Write a p-value."""
+    return f"{p:.2g}" if p >= 0.001 else f"{p:.0e}"
+
+
+def _digits(size: float) -> int:
+    return 3 if size < 1 else 2 if size < 10 else 1 if size < 1000 else 0
+
+
+def _contrary(rule: Rule) -> Rule:
+    swapped: dict[Verdict, Verdict] = {HOLDS: FAILS, FAILS: HOLDS}
+
+    def contrary(level: float) -> Finding:
+        finding = rule(level)
+        return replace(finding, verdict=swapped.get(finding.verdict, finding.verdict))
+
+    return contrary
+
+
+def _more_for_rate(verdict: Verdict, rate: Estimate, n: int, bound: float) -> int | None:
+    return _more(verdict, trials_for_rate_bound(rate.value, bound, level=rate.level), n)
+
+
+def _more(verdict: Verdict, needed: int | None, n: int) -> int | None:
+    if verdict != OPEN or needed is None:
+        return None
+    # The approximation may promise fewer than there are; those did not settle it.
+    return max(needed, n + 1)
+
+
+def _join(texts: Sequence[str], most: int = 4) -> str:
+    rest = len(texts) - most
+    return "; ".join(texts[:most]) + (f"; and {rest} more" if rest > 0 else "")

@@ -1,0 +1,256 @@
+"""The data of a study, as the claims ask for them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trl_explore.statistics.bootstrap import RESAMPLES
+from trl_explore.statistics.choices import NAMES, choice
+from trl_explore.statistics.estimates import LEVEL
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.pairing import configuration_key, deduplicate, pool, trial_keys
+from trl_explore.statistics.survival import convergence_times
+
+STRATEGIES = ("random", "argmax", "epsilon_greedy", "decaying_epsilon_greedy", "softmax")
+
+# The conditions under which the thesis made its statements (§2.3, §2.4.3, appendix A.4).
+CAPS = {
+    "thesis": 1000, "epsilon_grid": 1000, "decay_grid": 5000, "temperature_grid": 1000,
+    "baselines": 1000, "corrections": 1000, "corrections_temperature": 1000,
+}  # fmt: skip
+THRESHOLD, WINDOW, ENV_ID = 195.0, 100, "CartPole-v1"
+PARAMETERS: Mapping[str, Mapping[str, float]] = {
+    "epsilon_greedy": {"epsilon": 0.3},
+    "decaying_epsilon_greedy": {"decay": 0.99},
+    "softmax": {"temperature": 1.0},
+}
+
+
+class NotMeasuredError(ValueError):
+    """The data that a claim needs are missing, or measured under other conditions."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One measured quantity of the trials of one configuration.
+
+    Attributes:
+        label: name of the configuration in evidence.
+        unit: ``iterations``, ``frames`` or ``s``.
+        values: [n].
+        converged: [n].
+        keys: (seed, trial) of each, which makes pairs.
+
+    """
+
+    label: str
+    unit: str
+    values: NDArray[np.float64]
+    converged: NDArray[np.bool_]
+    keys: tuple[tuple[int, int], ...]
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def only(self, mask: NDArray[np.bool_], label: str | None = None) -> Sample:
+        """Keep the trials where ``mask`` [n] is true."""
+        keys = tuple(k for k, keep in zip(self.keys, mask, strict=True) if keep)
+        name = label or self.label
+        return Sample(name, self.unit, self.values[mask], self.converged[mask], keys)
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """All configurations that were measured, by experiment.
+
+    A job counts for a claim only under the conditions of the thesis (cap, threshold, window,
+    stopped by training scores, environment, the strategy's parameters); others are ``not
+    measured``, with the reason.
+
+    Attributes:
+        outcomes: one entry per job, of any experiments.
+        seconds: wall time of trials run by themselves, one array [n] per configuration, under
+            ``experiment/name``, ``name`` or (of the experiment ``thesis``) the strategy.
+        timed_trials: under the same key, the trial index of each entry of ``seconds`` [n];
+            without it the entries are the first n trials of the configuration, in order.
+        level: confidence level of every verdict.
+        resamples: of every bootstrap and permutation test.
+        strategies: those that a claim about all strategies is about.
+        places: experiments that stand in the place of others, name -> stand-in.
+
+    """
+
+    outcomes: Sequence[Outcomes]
+    seconds: Mapping[str, ArrayLike] = field(default_factory=dict)
+    timed_trials: Mapping[str, ArrayLike] = field(default_factory=dict)
+    level: float = LEVEL
+    resamples: int = RESAMPLES
+    strategies: Sequence[str] = STRATEGIES
+    places: Mapping[str, str] = field(default_factory=dict)
+
+    def under(self, correction: str) -> Study:
+        """The same questions put to the experiments with corrections, under one of them.
+
+        ``corrections`` stands in the place of ``thesis`` (without random, whose actions tell
+        nothing of what was learned), ``corrections_temperature`` in that of ``temperature_grid``.
+
+        Args:
+            correction: name of its class; ``NoCorrection``: the thesis's way, on the same trials.
+
+        """
+        places = {"thesis": "corrections", "temperature_grid": "corrections_temperature"}
+        chosen = [
+            o
+            for o in self.outcomes
+            if o.experiment in places.values() and choice(o, "correction") == correction
+        ]
+        strategies = [name for name in self.strategies if name != "random"]
+        return replace(self, outcomes=chosen, strategies=strategies, places=places)
+
+    def experiment(self, name: str) -> list[Outcomes]:
+        """List the jobs of an experiment; trials that two jobs share count once.
+
+        Raises:
+            NotMeasuredError: there are none, or one contains a trial twice.
+
+        """
+        name = self.places.get(name, name)
+        try:
+            jobs = deduplicate([o for o in self.outcomes if o.experiment == name])
+        except ValueError as error:
+            raise NotMeasuredError(str(error)) from error
+        if not jobs:
+            raise NotMeasuredError(f"the experiment {name} was not run")
+        return jobs
+
+    def strategy(self, name: str, experiment: str = "thesis") -> Outcomes:
+        """One strategy of an experiment with the thesis's parameters, its seeds pooled.
+
+        Raises:
+            NotMeasuredError: it was not run, or only with other parameters or conditions.
+
+        """
+        jobs = [o for o in self.experiment(experiment) if o.strategy == name]
+        if not jobs:
+            raise NotMeasuredError(f"{name} was not run in the experiment {experiment}")
+        expected = PARAMETERS.get(name, {})
+        alike = [o for o in jobs if all(o.parameters.get(k, v) == v for k, v in expected.items())]
+        if not alike:
+            wanted = ", ".join(f"{k} {v:g}" for k, v in expected.items())
+            raise NotMeasuredError(f"{name} was not run with {wanted}, as in the thesis")
+        if len({configuration_key(o) for o in alike}) > 1:
+            raise NotMeasuredError(f"{experiment} has several configurations of {name}")
+        return _pooled(alike)
+
+    def choices(self, experiment: str, strategy: str, group: str) -> dict[str, Outcomes]:
+        """Map a strategy's configurations by their option of a group, each with its defaults.
+
+        Args:
+            experiment: to look in.
+            strategy: with the thesis's parameters.
+            group: ``correction`` or ``baseline``.
+
+        Raises:
+            NotMeasuredError: the experiment is missing, or an option has several configurations.
+
+        """
+        jobs = [o for o in self.experiment(experiment) if o.strategy == strategy]
+        names = dict.fromkeys(choice(o, group) for o in jobs)
+        known = [n for n in NAMES[group] if n in names] + [
+            n for n in names if n not in NAMES[group]
+        ]
+        found = {}
+        for name in known:
+            mine = [o for o in jobs if choice(o, group) == name]
+            found[name] = replace(self, outcomes=mine, places={}).strategy(
+                strategy, self.places.get(experiment, experiment)
+            )
+        return found
+
+    def grid(self, experiment: str, parameter: str) -> dict[float, Outcomes]:
+        """Map a grid by the value of its parameter, ascending.
+
+        Raises:
+            NotMeasuredError: the experiment is missing, or a value has several configurations.
+
+        """
+        by_value: dict[float, list[Outcomes]] = {}
+        for job in self.experiment(experiment):
+            value = job.parameters.get(parameter)
+            if isinstance(value, int | float):
+                # A grid made by arithmetic has 0.30000000000000004.
+                by_value.setdefault(round(float(value), 9), []).append(job)
+        for value, jobs in by_value.items():
+            if len({configuration_key(o) for o in jobs}) > 1:
+                raise NotMeasuredError(
+                    f"{experiment} has several configurations with {parameter} {value:g}"
+                )
+        return {value: _pooled(by_value[value]) for value in sorted(by_value)}
+
+    def sample(self, outcomes: Outcomes, unit: str, label: str | None = None) -> Sample:
+        """Take the iterations (restricted to the cap), frames, or seconds of a configuration.
+
+        Raises:
+            NotMeasuredError: seconds that were not measured or do not fit the trials.
+
+        """
+        name = label or outcomes.strategy
+        keys, converged = trial_keys(outcomes), np.asarray(outcomes.converged, dtype=bool)
+        if unit == "iterations":
+            values = outcomes.durations.astype(np.float64)
+        elif unit == "frames":
+            values = outcomes.frames.astype(np.float64)
+        else:
+            values, where = self._seconds(outcomes)
+            keys, converged = [keys[i] for i in where], converged[where]
+        return Sample(name, unit, values, converged, tuple(keys))
+
+    def _seconds(self, outcomes: Outcomes) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+        options = [f"{outcomes.experiment}/{outcomes.name}", outcomes.name]
+        options += [outcomes.strategy] if outcomes.experiment == "thesis" else []
+        key = next((k for k in options if k in self.seconds), None)
+        if key is None:
+            raise NotMeasuredError(f"no trial of {outcomes.name} was timed by itself")
+        values = np.asarray(self.seconds[key], dtype=np.float64)
+        trials = self.timed_trials.get(key)
+        if trials is None:
+            where = np.arange(len(values))
+        else:
+            first = {int(t): i for i, t in reversed(list(enumerate(outcomes.trial)))}
+            where = np.array([first.get(int(t), -1) for t in np.asarray(trials)], dtype=np.intp)
+        fits = len(where) == len(values) > 0 and (where >= 0).all() and len(values) <= len(outcomes)
+        if not fits or not np.isfinite(values).all():
+            raise NotMeasuredError(f"the timed trials of {outcomes.name} do not fit its trials")
+        return values, where
+
+
+def _pooled(jobs: Sequence[Outcomes]) -> Outcomes:
+    for job in jobs:
+        _check_conditions(job)
+    return pool(jobs)
+
+
+def _check_conditions(job: Outcomes) -> None:
+    wanted: list[tuple[str, Any, Any]] = [
+        ("cap", job.cap, CAPS.get(job.experiment, job.cap)),
+        ("threshold", job.threshold, THRESHOLD),
+        ("window", job.window, WINDOW),
+        ("stopping scores", job.judged_by, "training"),
+    ]
+    env = job.config.get("env")
+    if isinstance(env, Mapping) and "id" in env:
+        wanted.append(("environment", env["id"], ENV_ID))
+    for word, found, expected in wanted:
+        if found != expected:
+            raise NotMeasuredError(
+                f"{job.experiment}/{job.name} has {word} {found}, the thesis {expected}"
+            )
+    try:
+        convergence_times(job)
+    except ValueError as error:
+        raise NotMeasuredError(str(error)) from error

@@ -1,0 +1,284 @@
+"""Why: which conclusions remain when the gradient is corrected for what the data are.
+
+Under argmax, ε-greedy or a temperature other than 1 the actions come from μ and the gradient is
+taken as if they came from π. The experiments ``corrections`` and ``corrections_temperature``
+repeat the comparison with the ratio π/μ in the loss, on the same seeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trl_explore.statistics.choices import choice_name
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.thesis import conclusion, iterations, outlook, rules, score
+from trl_explore.thesis.model import (
+    FAILS,
+    HOLDS,
+    NOT_MEASURED,
+    OPEN,
+    Claim,
+    Finding,
+    Verdict,
+)
+from trl_explore.thesis.study import NotMeasuredError, Sample, Study
+
+PLAIN, RATIO = "NoCorrection", "PerStep"
+UNBIASED = ("PerDecision", "Trajectory")
+HOT = 1.5
+
+CONCLUSIONS: tuple[Claim, ...] = tuple(
+    claim
+    for claim in (*score.CLAIMS, *iterations.CLAIMS, *conclusion.CLAIMS, *outlook.CLAIMS)
+    if claim.id
+    in {
+        "score.argmax_passes_less_than_half",
+        "score.epsilon_greedy_sometimes_fails",
+        "score.decaying_epsilon_greedy_sometimes_fails",
+        "score.others_pass_almost_every_time",
+        "iterations.decaying_fewer_than_epsilon_greedy",
+        "iterations.softmax_fewest",
+        "iterations.epsilon_greedy_most",
+        "conclusion.strategies_matter",
+        "conclusion.softmax_performs_best",
+        "outlook.temperature_improves",
+    }
+)
+"""The thesis's statements that can be asked again under a correction."""
+
+
+@dataclass(frozen=True)
+class Reexamined:
+    """A statement of the thesis, decided without and with the correction on the same trials."""
+
+    claim: Claim
+    plain: Finding
+    corrected: Finding
+
+    @property
+    def outcome(self) -> str:
+        """What becomes of the statement when the bias is removed."""
+        verdicts = {self.plain.verdict, self.corrected.verdict}
+        if NOT_MEASURED in verdicts:
+            return "not measured"
+        if OPEN in verdicts:
+            return "open"
+        outcomes: dict[tuple[Verdict, Verdict], str] = {
+            (HOLDS, HOLDS): "survives",
+            (HOLDS, FAILS): "falls",
+            (FAILS, HOLDS): "becomes true",
+            (FAILS, FAILS): "false either way",
+        }
+        return outcomes[self.plain.verdict, self.corrected.verdict]
+
+
+def reexamine(
+    study: Study,
+    plain: Sequence[np.random.Generator],
+    corrected: Sequence[np.random.Generator],
+    correction: str = RATIO,
+) -> list[Reexamined]:
+    """Decide every one of ``CONCLUSIONS`` twice, with the very tests used for the thesis.
+
+    Args:
+        study: with the experiments ``corrections`` and ``corrections_temperature``.
+        plain: a generator for each conclusion, for the verdicts without correction.
+        corrected: the same for those with it.
+        correction: class of the correction.
+
+    """
+    without, under = study.under(PLAIN), study.under(correction)
+    return [
+        Reexamined(claim, _decide(claim, without, a), _decide(claim, under, b))
+        for claim, a, b in zip(CONCLUSIONS, plain, corrected, strict=True)
+    ]
+
+
+def _decide(claim: Claim, study: Study, rng: np.random.Generator) -> Finding:
+    try:
+        return claim.decide(study, rng)
+    except NotMeasuredError as missing:
+        return Finding(NOT_MEASURED, str(missing))
+
+
+def mostly_bias(strategy: str) -> score.Decision:
+    """E[T_uncorrected − T_softmax] > 2 E[T_ratio − T_softmax], of min(T, cap), on pairs."""
+
+    def decide(study: Study, rng: np.random.Generator) -> Finding:
+        jobs = study.choices("corrections", strategy, "correction")
+        plain, ratio = _need(jobs, PLAIN, strategy), _need(jobs, RATIO, strategy)
+        best = study.under(PLAIN).strategy("softmax")
+        excess = [
+            _excess(study.sample(o, "iterations"), study.sample(best, "iterations"), label)
+            for o, label in (
+                (ratio, f"twice the excess of {strategy} over softmax with the ratio"),
+                (plain, "that without"),
+            )
+        ]
+        doubled = Sample(
+            excess[0].label, "iterations", 2 * excess[0].values, excess[0].converged, excess[0].keys
+        )
+        return rules.mean_less(doubled, excess[1], rng, resamples=study.resamples)(study.level)
+
+    return decide
+
+
+def argmax_beyond_repair(study: Study, rng: np.random.Generator) -> Finding:
+    """Ask p(argmax passes) < 80 % under every correction."""
+    jobs = study.choices("corrections", "argmax", "correction")
+    _need(jobs, RATIO, "argmax")
+    return rules.all_of(
+        [
+            rules.share_below(
+                int(o.converged.sum()),
+                len(o),
+                rules.ALMOST_ALWAYS,
+                f"argmax trials pass, {choice_name(name, 'correction')}",
+            )
+            for name, o in jobs.items()
+        ],
+        study.level,
+    )
+
+
+def variance_costs_more(study: Study, rng: np.random.Generator) -> Finding:
+    """mean(ratio) < mean(unbiased weights), for both ε-greedy strategies."""
+    parts = []
+    for strategy in ("epsilon_greedy", "decaying_epsilon_greedy"):
+        jobs = study.choices("corrections", strategy, "correction")
+        samples = {
+            name: study.sample(
+                _need(jobs, name, strategy),
+                "iterations",
+                f"{strategy} with {choice_name(name, 'correction')}",
+            )
+            for name in (RATIO, *UNBIASED)
+        }
+        parts += [
+            rules.mean_less(samples[RATIO], samples[name], rng, resamples=study.resamples)
+            for name in UNBIASED
+        ]
+    return rules.all_of(parts, study.level)
+
+
+def hot_softmax_repaired(study: Study, rng: np.random.Generator) -> Finding:
+    """p(T = 1.5 passes) < 5 % without the ratio, with no exception, and > 90 % with it."""
+    parts = []
+    for correction in (PLAIN, RATIO):
+        grid = study.under(correction).grid("temperature_grid", "temperature")
+        if HOT not in grid:
+            raise NotMeasuredError(f"T = {HOT} was not run with correction {correction}")
+        o, what = grid[HOT], f"trials pass at T = {HOT}, {choice_name(correction, 'correction')}"
+        count = int(o.converged.sum())
+        if correction == PLAIN:
+            parts.append(rules.never(count, len(o), what))
+        else:
+            parts.append(rules.share_above(count, len(o), rules.CONSISTENTLY, what))
+    return rules.all_of(parts, study.level)
+
+
+def every_temperature_serves(study: Study, rng: np.random.Generator) -> Finding:
+    """Ask p > 90 % at every temperature with the gradient of μ."""
+    grid = study.under("Behaviour").grid("temperature_grid", "temperature")
+    return rules.all_of(
+        [
+            rules.share_above(
+                int(o.converged.sum()), len(o), rules.CONSISTENTLY, f"trials pass at T = {t:g}"
+            )
+            for t, o in grid.items()
+        ],
+        study.level,
+    )
+
+
+def _need(jobs: dict[str, Outcomes], name: str, strategy: str) -> Outcomes:
+    if name not in jobs:
+        raise NotMeasuredError(f"{strategy} was not run with {choice_name(name, 'correction')}")
+    return jobs[name]
+
+
+def _excess(a: Sample, b: Sample, label: str) -> Sample:
+    """Take a − b on the trials that both have.
+
+    Raises:
+        NotMeasuredError: they have none in common.
+
+    """
+    where = {key: j for j, key in enumerate(b.keys)}
+    common = [(i, where[key]) for i, key in enumerate(a.keys) if key in where]
+    if not common:
+        raise NotMeasuredError(f"{a.label} and {b.label} have no trial in common")
+    i, j = np.array(common).T
+    keys = tuple(a.keys[k] for k in i)
+    return Sample(label, a.unit, a.values[i] - b.values[j], a.converged[i] & b.converged[j], keys)
+
+
+CLAIMS = (
+    Claim(
+        id="why.epsilon_greedy_mostly_bias",
+        statement="Most of what ε-greedy takes longer than softmax is the bias of its gradient, not"
+        " its exploration.",
+        place="experiment corrections",
+        definition="Its mean excess of iterations over softmax (restricted to the cap, same seed"
+        " and trial) falls by more than half when each action is weighted with π/μ: twice the"
+        " excess with the ratio is smaller than the excess without (paired bootstrap interval and"
+        " sign-flip test).",
+        needs=("corrections",),
+        decide=mostly_bias("epsilon_greedy"),
+    ),
+    Claim(
+        id="why.decaying_mostly_bias",
+        statement="Most of what decaying ε-greedy takes longer than softmax is the bias of its"
+        " gradient.",
+        place="experiment corrections",
+        definition="As for ε-greedy.",
+        needs=("corrections",),
+        decide=mostly_bias("decaying_epsilon_greedy"),
+    ),
+    Claim(
+        id="why.argmax_beyond_repair",
+        statement="No correction repairs argmax.",
+        place="experiment corrections",
+        definition="Under every correction, argmax passes in less than 80 % of trials (Wilson"
+        " intervals).",
+        needs=("corrections/argmax",),
+        decide=argmax_beyond_repair,
+    ),
+    Claim(
+        id="why.variance_costs_more",
+        statement="What removes the bias entirely costs more than it gains: with per-decision or"
+        " trajectory weights both ε-greedy strategies take longer than with the mere ratio.",
+        place="experiment corrections",
+        definition="The mean number of iterations, restricted to the cap, is smaller with the"
+        " per-step ratio than with either of the unbiased weights, for both strategies (paired"
+        " bootstrap interval and sign-flip test).",
+        needs=("corrections/epsilon_greedy", "corrections/decaying_epsilon_greedy"),
+        decide=variance_costs_more,
+    ),
+    Claim(
+        id="why.hot_softmax_repaired",
+        statement="A softmax at temperature 1.5 never passes without correction, and consistently"
+        " with the per-step ratio.",
+        place="experiment corrections_temperature",
+        definition="Without, no trial passes, and the Wilson interval ends below 5 %; with the"
+        " ratio, more than 90 % pass.",
+        needs=("corrections_temperature",),
+        decide=hot_softmax_repaired,
+    ),
+    Claim(
+        id="why.every_temperature_serves",
+        statement="With the gradient of μ itself, softmax passes consistently at every temperature"
+        " of the grid.",
+        place="experiment corrections_temperature",
+        definition="More than 90 % of trials pass at each temperature (Wilson intervals).",
+        needs=("corrections_temperature",),
+        decide=every_temperature_serves,
+    ),
+)
+"""Statements about the cause, beyond the thesis."""
+
+BIAS = ("why.epsilon_greedy_mostly_bias", "why.decaying_mostly_bias")
+"""The statements on how much of a difference is the bias of the gradient."""

@@ -1,0 +1,1 @@
+"""Training: the trainer, the record of every trial, evaluation, diagnostics and optimisers."""

@@ -1,0 +1,170 @@
+"""What the trainer needs of an optimiser, and parameters in groups."""
+
+# numba rewrites signatures:
+# pyright: reportCallIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Protocol, cast
+
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.optim import Optimizer
+
+from trl_explore.checks import check_number
+from trl_explore.numerics.compiled import compiled
+
+Parameters = Iterable[nn.Parameter] | Iterable[Mapping[str, Any]]
+"""Parameters, or groups of them as torch's optimisers take them: {"params": [...], "lr": 1.0}."""
+
+
+class TrialOptimizer(Protocol):
+    """What the trainer needs: an optimiser over parameters [trials, ...]."""
+
+    parameters: list[nn.Parameter]
+
+    def zero_grad(self) -> None:
+        """Forget the gradients."""
+        ...
+
+    def step(self, active: Tensor | None = None) -> None:
+        """One step of the trials in ``active`` [trials] bool; None moves all of them."""
+        ...
+
+    def state_dict(self) -> dict[str, Any]:
+        """What the next steps depend on, besides parameters and gradients."""
+        ...
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on where ``state_dict`` was taken."""
+        ...
+
+
+def grouped(parameters: Parameters, lr: float) -> list[dict[str, Any]]:
+    """The parameters in groups, each with its learning rate: its own, or ``lr``.
+
+    Raises:
+        ValueError: if a learning rate is not a positive number.
+    """
+    entries = list(parameters)
+    if not entries or not isinstance(entries[0], Mapping):
+        entries = [{"params": entries}]
+    groups = [dict(group) for group in cast(list[Mapping[str, Any]], entries)]
+    for group in groups:
+        params = group["params"]
+        group["params"] = [params] if isinstance(params, nn.Parameter) else list(params)
+        group["lr"] = check_number("lr", group.get("lr", lr), 0, low_open=True)
+    return groups
+
+
+class Views:
+    """Arrays [rows, elements] in the memory of tensors; kept, and made anew where that has moved.
+
+    Args:
+        tensors: on the CPU and contiguous; read at every call, so that others can take their place.
+
+    Example:
+        >>> import torch
+        >>> weight = torch.nn.Parameter(torch.zeros(2, 1, 3))
+        >>> views = Views([weight])
+        >>> views()[0][1, 2] = 5
+        >>> weight.detach().flatten().tolist()
+        [0.0, 0.0, 0.0, 0.0, 0.0, 5.0]
+    """
+
+    def __init__(self, tensors: Sequence[Tensor]) -> None:
+        self.tensors = tensors
+        self._places: list[tuple[int, Any]] = []
+        self._arrays: list[NDArray[Any]] = []
+
+    def __call__(self) -> list[NDArray[Any]]:
+        """The arrays, in the order of the tensors."""
+        # A view keeps its memory alive, so that nothing else can lie in the same place.
+        places = [(t.data_ptr(), t.shape) for t in self.tensors]
+        if places != self._places:
+            self._arrays = [t.detach().view(len(t), -1).numpy() for t in self.tensors]
+            self._places = places
+        return self._arrays
+
+
+def all_finite(rows: NDArray[Any]) -> bool:
+    """Whether every number is finite.
+
+    Args:
+        rows: [*], contiguous.
+    """
+    return _all_finite(rows.reshape(-1))
+
+
+@compiled()
+def _all_finite(x):
+    broken = 0
+    for i in range(len(x)):  # no early exit, so that it becomes vector instructions
+        broken += (x[i] - x[i]) != 0
+    return broken == 0
+
+
+class LaneOptimizer:
+    """Any elementwise torch optimiser over parameters [trials, ...], moving active trials only.
+
+    A gradient of zero does not hold a stopped trial still: momentum would move its weights on. Its
+    rows of the parameters and of the optimiser's state are put back as they were.
+
+    Args:
+        factory: parameters -> optimiser, such as ``functools.partial(adam, lr=0.05)``.
+        parameters: each with the trials as dimension 0; or groups of them, as torch takes them.
+    """
+
+    def __init__(
+        self,
+        factory: Callable[[Any], Optimizer],
+        parameters: Parameters,
+    ) -> None:
+        self.optimizer = factory(list(parameters))
+        self.parameters = [p for group in self.optimizer.param_groups for p in group["params"]]
+
+    def zero_grad(self) -> None:
+        """Forget the gradients."""
+        self.optimizer.zero_grad(set_to_none=True)
+
+    @torch.no_grad()
+    def step(self, active: Tensor | None = None) -> None:
+        """One step of the trials in ``active`` [trials] bool; None moves all of them."""
+        if active is None or bool(active.all()):
+            self.optimizer.step()
+            return
+        stopped = (~active).nonzero().squeeze(-1)
+        kept = [(rows, rows.index_select(0, stopped)) for rows in self.rows()]
+        self.optimizer.step()
+        for rows, before in kept:
+            rows.index_copy_(0, stopped, before)
+
+    def rows(self) -> list[Tensor]:
+        """Every tensor with one row per trial: parameters and the state that goes with them."""
+        found: list[Tensor] = []
+        for parameter in self.parameters:
+            state = self.optimizer.state.get(parameter, {}).values()
+            same = [v for v in state if isinstance(v, Tensor) and v.shape == parameter.shape]
+            found += [parameter.data, *same]
+        return found
+
+    def state_dict(self) -> dict[str, Any]:
+        """The state of every parameter, by its place among the parameters."""
+        return {
+            str(i): {
+                name: value.clone() if isinstance(value, Tensor) else value
+                for name, value in self.optimizer.state.get(parameter, {}).items()
+                if value is not None
+            }
+            for i, parameter in enumerate(self.parameters)
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on where ``state_dict`` was taken."""
+        for i, parameter in enumerate(self.parameters):
+            self.optimizer.state[parameter] = {
+                name: value.clone() if isinstance(value, Tensor) else value
+                for name, value in state[str(i)].items()
+            }

@@ -1,0 +1,257 @@
+"""What is known of every trial while it runs: scores, stopping rule, status."""
+
+# numba rewrites signatures:
+# pyright: reportCallIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trl_explore.checks import check_integer, check_number
+from trl_explore.numerics import borrow as borrow_module
+from trl_explore.numerics.borrow import borrow
+from trl_explore.numerics.compiled import compiled
+
+STATUSES = np.array(["active", "converged", "capped", "diverged"])
+ACTIVE, CONVERGED, CAPPED, DIVERGED = range(4)
+CURVES = ("episode_score", "score", "active", "converged")
+
+
+class Trials:
+    """The record of n independent trials, and the rule by which each stops.
+
+    A trial has converged when the mean score of its last ``score_window`` episodes is greater
+    than ``score_threshold``, over a full window; it is capped (right-censored) after
+    ``max_iterations``; it has diverged when its loss or a weight is no longer finite.
+
+    Args:
+        trials: n >= 1.
+        max_iterations: the cap, >= 1.
+        score_threshold: the final score to exceed.
+        score_window: number of episodes the final score averages over, >= 1.
+
+    Raises:
+        ValueError: if an argument is out of range.
+    """
+
+    def __init__(
+        self,
+        trials: int,
+        *,
+        max_iterations: int = 1000,
+        score_threshold: float = 195.0,
+        score_window: int = 100,
+    ) -> None:
+        n = check_integer("trials", trials, 1)
+        self.max_iterations = check_integer("max_iterations", max_iterations, 1)
+        self.score_threshold = check_number("score_threshold", score_threshold)
+        self.score_window = check_integer("score_window", score_window, 1)
+        self._status = np.full(n, ACTIVE, dtype=np.uint8)
+        self.active = np.ones(n, dtype=np.bool_)
+        self.iterations = np.zeros(n, dtype=np.int64)
+        self.frames = np.zeros(n, dtype=np.int64)
+        self.seconds = np.zeros(n)
+        self.score = np.zeros(n)
+        """The mean score over the last ``score_window`` episodes, or over all while fewer [n]."""
+        self._episode_score = np.zeros(n)
+        self._n_converged = 0
+        self._n_episodes = 0
+        self._window = np.zeros((self.score_window, n))
+        self._sum = np.zeros(n)
+        """Of the scores in the window, those to come being 0 [n]."""
+        self._episodes: list[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]] = []
+        self._curves: list[tuple[float, ...]] = []
+
+    def __len__(self) -> int:
+        return len(self._status)
+
+    @property
+    def iteration(self) -> int:
+        """The number of iterations that the batch of trials has done."""
+        return len(self._episodes)
+
+    def record(
+        self,
+        scores: NDArray[np.float64],
+        frames: NDArray[np.int64],
+        diverged: NDArray[np.bool_],
+        seconds: float,
+        passed: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Enter one iteration and stop the trials whose time has come.
+
+        Args:
+            scores: undiscounted return of the episodes of every active trial, trials ascending
+                [active], or [active, k] with k episodes for each.
+            frames: their numbers of frames, in the same shape.
+            diverged: whether the trial has left the finite numbers [active].
+            seconds: wall time since the batch began.
+            passed: whether the trial has converged, where something else than its training scores
+                decides that [active].
+        """
+        (trial,) = self.active.nonzero()
+        self._episodes.append((trial, scores, frames))
+        columns = scores.reshape(len(trial), -1)
+        first, width = self._n_episodes, columns.shape[1]
+        self._n_episodes += width
+        highest = _enter(
+            trial, columns, frames.reshape(columns.shape), first % self.score_window,
+            min(self._n_episodes, self.score_window), seconds, *(getattr(self, n) for n in _ROWS),
+        )  # fmt: skip
+
+        # In its last iteration a trial counts with its episode, from then on with its final score.
+        episode_score = np.add.reduce(self._episode_score) / len(self)
+        full = self._n_episodes >= self.score_window
+        some = (full and highest > self.score_threshold) if passed is None else passed.any()
+        if some or diverged.any() or self.iteration >= self.max_iterations:
+            if passed is None:
+                passed = (self.score[trial] > self.score_threshold) & full
+            self._stop(trial, passed & ~diverged, diverged)
+        score = np.add.reduce(self.score) / len(self)
+        active = int(np.count_nonzero(self.active))
+        self._curves.append((episode_score, score, active, self._n_converged))
+
+    def _stop(
+        self, trial: NDArray[np.int64], passed: NDArray[np.bool_], diverged: NDArray[np.bool_]
+    ) -> None:
+        self._status[trial[passed]] = CONVERGED
+        self._status[trial[diverged]] = DIVERGED
+        if self.iteration >= self.max_iterations:
+            self._status[self._status == ACTIVE] = CAPPED
+        self.active = self._status == ACTIVE
+        self._n_converged = int(np.count_nonzero(self.converged))
+        stopped = trial[~self.active[trial]]
+        self._episode_score[stopped] = self.score[stopped]  # carried forward from here on
+
+    @property
+    def status(self) -> NDArray[np.str_]:
+        """What has become of the trial: active, converged, capped or diverged [n]."""
+        return STATUSES[self._status]
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """Whether the trial has converged [n]."""
+        return self._status == CONVERGED
+
+    def curves(self) -> dict[str, NDArray[np.float64]]:
+        """Averages over all trials after every iteration, each [iterations]."""
+        return dict(zip(CURVES, np.array(self._curves, dtype=np.float64).T, strict=True))
+
+    def episodes(self) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
+        """One row for each episode, by iteration and then trial."""
+        trials, scores, all_frames = zip(*self._episodes, strict=True)
+        score = np.concatenate([column.reshape(-1) for column in scores])
+        frames = np.concatenate([column.reshape(-1) for column in all_frames])
+        sizes = [column.size for column in scores]
+        repeats = [column.size // len(t) for t, column in zip(trials, scores, strict=True)]
+        trial = np.concatenate([np.repeat(t, k) for t, k in zip(trials, repeats, strict=True)])
+        iteration = np.repeat(np.arange(1, len(sizes) + 1), sizes)
+        return {"trial": trial, "iteration": iteration, "score": score, "frames": frames}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything but the episodes, which ``history`` gives: its size stays the same."""
+        arrays = {name: getattr(self, name).copy() for name in _ROWS}
+        return {
+            **arrays,
+            "status": self._status.copy(),
+            "iteration": self.iteration,
+            "episodes": self._n_episodes,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where ``state_dict`` was taken; its history must have been loaded before.
+
+        Raises:
+            ValueError: if the history is not that of the state.
+        """
+        if state["iteration"] != self.iteration:
+            raise ValueError(
+                f"the state is of iteration {state['iteration']}, the history of {self.iteration}"
+            )
+        for name in _ROWS:
+            getattr(self, name)[:] = state[name]
+        self._status[:] = state["status"]
+        self.active = self._status == ACTIVE
+        self._n_converged = int(np.count_nonzero(self.converged))
+        self._n_episodes = int(state["episodes"])
+
+    def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
+        """The iterations after the first ``since``, up to and with ``until``, as columns.
+
+        Returns:
+            "rows" and "width" [iterations], the numbers of active trials and of episodes of each;
+            "curves" [iterations, 4]; and by iteration and then trial "trial" [rows], "score" and
+            "frames" [rows * width], in the smallest of a few types that holds them exactly.
+        """
+        part = self._episodes[since:until]
+        columns = list(zip(*part, strict=True)) or [(), (), ()]
+        trial, score, frames = (
+            np.concatenate([column.reshape(-1) for column in entries]) if entries else np.zeros(0)
+            for entries in columns
+        )
+        return {
+            "rows": np.array([len(entry[0]) for entry in part], dtype=np.int64),
+            "width": np.array([entry[1].size // len(entry[0]) for entry in part], dtype=np.int64),
+            "curves": np.array(self._curves[since:until], dtype=np.float64).reshape(-1, 4),
+            "trial": _small(trial, np.int32),
+            "score": _small(score, np.float32),
+            "frames": _small(frames, np.int32),
+        }
+
+    def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Append what ``history`` gave."""
+        trial, score = columns["trial"].astype(np.int64), columns["score"].astype(np.float64)
+        frames = columns["frames"].astype(np.int64)
+        low = start = 0
+        for rows, width in zip(columns["rows"].tolist(), columns["width"].tolist(), strict=True):
+            high, stop = low + rows, start + rows * width
+            shape = (rows,) if width == 1 else (rows, width)
+            cells = score[start:stop].reshape(shape), frames[start:stop].reshape(shape)
+            self._episodes.append((trial[low:high], *cells))
+            low, start = high, stop
+        self._curves += [tuple(row) for row in columns["curves"].tolist()]
+
+
+_ROWS = ("iterations", "frames", "seconds", "score", "_episode_score", "_window", "_sum")
+"""What ``_enter`` changes, all with an entry for each trial."""
+
+
+@compiled(borrow_module)
+def _enter(
+    trial, scores, counts, first, filled, now, iterations, frames, seconds, score, episode_score,
+    window, window_sum,
+):  # fmt: skip
+    """Enter the episodes [active, k] of an iteration in the rows; the highest of the scores."""
+    size, highest = len(window), -np.inf
+    window = borrow(window)
+    for j in range(len(trial)):
+        row, total, steps = trial[j], 0.0, 0
+        for e in range(scores.shape[1]):
+            place = (first + e) % size
+            window_sum[row] += scores[j, e] - window[place, row]  # exact for whole numbers
+            window[place, row] = scores[j, e]
+            if place == size - 1:  # so that what is rounded does not pile up
+                window_sum[row] = 0.0
+                for f in range(size):
+                    window_sum[row] += window[f, row]
+            total += scores[j, e]
+            steps += counts[j, e]
+        iterations[row] += 1
+        frames[row] += steps
+        seconds[row] = now
+        episode_score[row] = total / scores.shape[1]
+        score[row] = window_sum[row] / filled
+        if score[row] > highest:
+            highest = score[row]
+    return highest
+
+
+def _small(values: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
+    """The values in ``dtype`` where that loses nothing, as they are otherwise."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        small = values.astype(dtype)
+    return small if np.array_equal(small, values, equal_nan=True) else values

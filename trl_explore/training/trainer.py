@@ -1,0 +1,201 @@
+"""The loop: collect one episode of every active trial, update, stop those that are done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+
+from trl_explore.collectors import EpisodeCollector
+from trl_explore.numerics.clock import clock
+from trl_explore.objectives.episodes import outcomes
+from trl_explore.strategies import BaseStrategy
+from trl_explore.training.diagnostics import Diagnostics
+from trl_explore.training.evaluation import Evaluator
+from trl_explore.training.optimizers import TrialOptimizer, Views, all_finite
+from trl_explore.training.record import Trials
+
+
+class TrialLoss(Protocol):
+    """What the trainer needs of a loss."""
+
+    reduction: str
+
+    @property
+    def divisible(self) -> bool:
+        """Whether some trials' losses need no others' data, and ``step`` needs no data at all."""
+        ...
+
+    def backward(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """Add the gradients of all losses to those of the parameters; the loss of each trial."""
+        ...
+
+    def step(self, tensordict: TensorDictBase) -> None:
+        """Learn from the data of an iteration, after its update."""
+        ...
+
+
+class Trainer:
+    """Trains all trials of a job, in lockstep: all finish iteration i before any begins i + 1.
+
+    It knows no concrete environment, policy, strategy or loss.
+
+    Args:
+        collector: one whole episode of every active trial per call.
+        loss: a loss with one value per trial, in "trial_loss", and reduction "sum" or "none".
+        optimizer: moves the active trials.
+        trials: the record, which decides when a trial stops.
+        evaluator: plays the greedy policy now and then.
+        stop_on_evaluation: whether a trial converges by its evaluation scores, not by those of
+            its training.
+        diagnostics: records what happens inside of the trials.
+        on_iteration: called after each iteration with the record.
+
+    Raises:
+        ValueError: if the loss averages over trials, which would couple them, or evaluation is to
+            decide and there is none.
+    """
+
+    def __init__(
+        self,
+        collector: EpisodeCollector,
+        loss: TrialLoss,
+        optimizer: TrialOptimizer,
+        trials: Trials,
+        *,
+        evaluator: Evaluator | None = None,
+        stop_on_evaluation: bool = False,
+        diagnostics: Diagnostics | None = None,
+        on_iteration: Callable[[Trials], None] | None = None,
+    ) -> None:
+        if loss.reduction == "mean":
+            raise ValueError("loss: reduction 'mean' couples the trials; allowed are sum and none")
+        if stop_on_evaluation and evaluator is None:
+            raise ValueError("stop_on=evaluation needs evaluate_every of at least 1, got 0")
+        self.collector = collector
+        self.loss = loss
+        self.optimizer = optimizer
+        self.trials = trials
+        self.evaluator = evaluator
+        self.stop_on_evaluation = stop_on_evaluation
+        self.diagnostics = diagnostics
+        self.on_iteration = on_iteration
+        self._weights = Views(optimizer.parameters)
+        self.seconds = 0.0
+        """Wall time of the training so far, with that before an interruption, without that of
+        compilation [s]."""
+        parts = {
+            "collector": collector,
+            "loss": loss,
+            "optimizer": optimizer,
+            "trials": trials,
+            "evaluator": evaluator,
+            "diagnostics": diagnostics,
+        }
+        self.parts: dict[str, Any] = {k: part for k, part in parts.items() if part is not None}
+        """Everything with a state, by name: whatever joins the loop is entered here."""
+
+    def run(self) -> Trials:
+        """Train until every trial has stopped."""
+        started = clock() - self.seconds
+        while self.trials.active.any():
+            self._iterate(started)
+            self.seconds = clock() - started
+            if self.on_iteration is not None:
+                self.on_iteration(self.trials)
+        return self.trials
+
+    def state_dict(self) -> dict[str, Any]:
+        """The state of every part between two iterations, but for what ``history`` gives.
+
+        Random streams have no state: an episode's numbers follow from its trial and its number.
+        """
+        parts = {name: part.state_dict() for name, part in self.parts.items()}
+        return {"seconds": self.seconds, "parts": parts}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where ``state_dict`` was taken; its history must have been loaded before."""
+        for name, part in self.parts.items():
+            part.load_state_dict(state["parts"][name])
+        self.seconds = float(state["seconds"])
+
+    def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
+        """What the parts have recorded in the iterations after ``since``, up to ``until``."""
+        return {
+            f"{name}.{column}": values
+            for name, part in self.parts.items()
+            if hasattr(part, "history")
+            for column, values in part.history(since, until).items()
+        }
+
+    def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Append what ``history`` gave."""
+        for name, part in self.parts.items():
+            if hasattr(part, "load_history"):
+                own = [column for column in columns if column.startswith(f"{name}.")]
+                part.load_history({c.removeprefix(f"{name}."): columns[c] for c in own})
+
+    def _iterate(self, started: float) -> None:
+        active = self.trials.active
+        self.optimizer.zero_grad()
+        (scores, frames), trial_loss, data = self._learn(active)
+        if self.diagnostics is not None and data is not None:
+            self.diagnostics.record(data, active)
+        self.optimizer.step(torch.from_numpy(active))
+        if data is not None:
+            self.loss.step(data)
+        self.collector.strategy.step(data)
+        diverged = self._diverged(trial_loss, active)
+        passed = self._evaluate(active)
+        self.trials.record(scores, frames, diverged, clock() - started, passed)
+
+    def _learn(
+        self, active: NDArray[np.bool_]
+    ) -> tuple[tuple[NDArray[Any], ...], torch.Tensor, TensorDictBase | None]:
+        """Collect, and form the gradients: outcomes, the loss of each trial, and the data.
+
+        Data of thousands of trials do not fit into the processor's cache. Where nobody needs them
+        as a whole, trials are taken block by block, and the data given away.
+        """
+        count = -(-np.count_nonzero(active) // self.collector.block) if self._divisible() else 1
+        if count == 1:
+            data = self.collector.collect(active)
+            outcome = outcomes(data, self.collector.episodes_per_update)
+            return outcome, self.loss.backward(data), data
+        parts, trial_loss = [], torch.zeros(())
+        for block in np.array_split(np.flatnonzero(active), count):
+            some = np.zeros_like(active)
+            some[block] = True
+            data = self.collector.collect(some)
+            parts.append(outcomes(data, self.collector.episodes_per_update))
+            trial_loss = trial_loss + self.loss.backward(data)
+        return tuple(map(np.concatenate, zip(*parts, strict=True))), trial_loss, None
+
+    def _divisible(self) -> bool:
+        """Whether an iteration may be taken block by block."""
+        learns = type(self.collector.strategy).step is not BaseStrategy.step
+        return self.loss.divisible and self.diagnostics is None and not learns
+
+    def _evaluate(self, active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+        """Evaluate if it is time to; who has passed by it [active], if that is what counts."""
+        if self.evaluator is None:
+            return None
+        iteration = self.trials.iteration + 1
+        due = self.evaluator.is_due(iteration)
+        if due:
+            self.evaluator.evaluate(iteration, active)
+        if not self.stop_on_evaluation:
+            return None
+        return self.evaluator.passed(active) & due
+
+    def _diverged(self, trial_loss: torch.Tensor, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Whether an active trial's loss or one of its weights is not finite [active]."""
+        rows = [trial_loss.numpy(), *self._weights()]
+        if all(map(all_finite, rows)):
+            return np.zeros(np.count_nonzero(active), dtype=np.bool_)
+        finite = [np.isfinite(row.reshape(len(row), -1)).all(axis=1) for row in rows]
+        return ~np.logical_and.reduce(finite)[active]
