@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 import json
 from html.parser import HTMLParser
 from pathlib import Path
