@@ -28,7 +28,7 @@ OWNED = {
     ("torch", "load"), ("pd", "read_pickle"), ("np", "fromfile"), ("os", "system"), ("os", "popen"),
     ("yaml", "load"), ("yaml", "unsafe_load"), ("yaml", "full_load"),
 }  # fmt: skip
-PIPES = {"trl_explore/lanes/processes.py": {"pickle"}}
+PIPES = {"trl_explore/envs/processes.py": {"pickle"}}
 """Talk with processes that they started themselves, over pipes of their own; they open no file."""
 EVIL = (
     "<script>alert(1)</script>&amp;\"'\\input{x}%$#_{}~^\n\\end{tabular}|`*[x](javascript:1)\r-->"
@@ -162,17 +162,6 @@ class Page(HTMLParser):
 def spoil(job: Path, **record) -> None:
     run = json.loads((job / "run.json").read_text())
     (job / "run.json").write_text(json.dumps({**run, **record}))
-
-
-@pytest.fixture
-def make_job(request):
-    path = ROOT / "tests" / "report" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("report_conftest", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.write_job
 
 
 @pytest.fixture

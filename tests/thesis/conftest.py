@@ -1,4 +1,6 @@
-"""The invented configurations of the statistics."""
+"""The synthetic configurations of the statistics' tests."""
+
+from __future__ import annotations
 
 from tests.statistics.conftest import make, rng
 
