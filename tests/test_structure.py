@@ -53,8 +53,6 @@ HEAVY = TORCH | {"hydra", "omegaconf", "numba", "llvmlite"}
 KNOWN = (
     # The mark of a compiled kernel is defined in the room of the kernels.
     ("numerics", "envs.kernels.kernel"),
-    # The wording of a verdict is shared with the claims.
-    ("statistics.answer", "thesis.model"),
 )
 """Imports that break a rule today: the importing module or room, and what it imports."""
 

@@ -17,9 +17,9 @@ from trl_explore.report.groups import Group
 from trl_explore.report.style import WIDTH
 from trl_explore.statistics.comparisons import Comparison
 from trl_explore.statistics.estimates import Estimate
-from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.outcomes import Outcomes, convergence_times
 from trl_explore.statistics.pairing import select
-from trl_explore.statistics.survival import convergence_times, kaplan_meier
+from trl_explore.statistics.survival import kaplan_meier
 
 PANELS_PER_ROW = 2
 MOST_PAIRS = 15

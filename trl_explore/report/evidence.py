@@ -13,10 +13,15 @@ from trl_explore.report.figures import learning
 from trl_explore.report.groups import Group, group_jobs
 from trl_explore.report.labels import readable
 from trl_explore.report.loading import Gap, Loaded
-from trl_explore.statistics.answer import answer, because
+from trl_explore.report.sentences import (
+    answer,
+    because,
+    option_sentences,
+    plane_sentences,
+    verdicts,
+)
 from trl_explore.statistics.bootstrap import RESAMPLES, streams
 from trl_explore.statistics.comparisons import Comparison, compare_all, compare_pairs
-from trl_explore.statistics.effects import option_sentences, plane_sentences
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import SharedTrials, shared_trials
@@ -100,13 +105,12 @@ def gather(loaded: Loaded, *, level: float = LEVEL, resamples: int = RESAMPLES) 
     checked = check_claims(study, rngs["claims"])
     reexamined, causes = _why(study, rngs)
     bias = because([c for c in causes if c.claim.id in why.BIAS])
-    last = answer([], [], checked)[2]
     return Evidence(
         groups=parts,
         checked=checked,
         reexamined=reexamined,
         causes=causes,
-        answer=(*parts[0].sentences, *([bias] if bias else []), readable(last)),
+        answer=(*parts[0].sentences, *([bias] if bias else []), readable(verdicts(checked))),
         shared=shared_trials(outcomes),
         gaps=gaps,
         outcomes=outcomes,
@@ -208,4 +212,4 @@ def _sentences(group: Group, comparisons: Sequence[Comparison], level: float) ->
         rows, options = group.crossed.rows, group.crossed.options
         cells = {name: (rows[r], options[o]) for (r, o), name in group.crossed.cells.items()}
         return option_sentences(comparisons, cells)
-    return answer(group.configurations, comparisons, [], labels=group.labels)[:2]
+    return answer(group.configurations, comparisons, labels=group.labels, level=level)

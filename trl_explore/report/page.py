@@ -21,7 +21,7 @@ LONG_TABLE = 20
 HEROES = ("survival", "effects", "map-pass")
 """Kinds of figures of which the first stands beside the answer."""
 RECORDED = {*DIAGNOSTICS, "entropy"}
-PACKAGES = ("numpy", "scipy", "statsmodels", "matplotlib")
+PACKAGES = ("numpy", "scipy", "matplotlib")
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,8 @@ from trl_explore.report.figures.axes import few_ticks, handle, legend_above, spa
 from trl_explore.report.groups import Group
 from trl_explore.report.style import INK, Style
 from trl_explore.statistics.estimates import Estimate
-from trl_explore.statistics.survival import convergence_times, kaplan_meier
+from trl_explore.statistics.outcomes import convergence_times
+from trl_explore.statistics.survival import kaplan_meier
 
 
 @dataclass(frozen=True)
