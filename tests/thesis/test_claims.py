@@ -305,7 +305,7 @@ def test_missing_data_are_not_measured(builder, claim):
         ({"window": 10}, "window 10"),
         ({"config": {"env": {"id": "Acrobot-v1"}}}, "environment Acrobot-v1"),
         ({"config": {"stop_on": "evaluation"}}, "stopping scores evaluation"),
-        ({"parameters": {"temperature": 2.0}}, "not run with temperature 1"),
+        ({"parameters": {"temperature": 2.0}}, "not run with T = 1"),
         ({"converged": np.zeros(5, bool)}, "stopped unconverged after"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from trl_explore.names import strategy_label
 from trl_explore.statistics.comparisons import compare_all
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import pair_indices
@@ -61,7 +62,8 @@ def _faster(a: Outcomes, b: Outcomes) -> rules.Rule:
         verdict = rules.decided(chance.above(0.5), chance.below(0.5))
         needed = trials_for_rate_bound(chance.value, 0.5, level=level)
         more = max(needed, n + 1) if verdict == OPEN and needed is not None else None
-        text = f"{a.strategy} converges before {b.strategy} in {rules.percent(chance)}"
+        first, second = strategy_label(a.strategy), strategy_label(b.strategy)
+        text = f"{first} converges before {second} in {rules.percent(chance)}"
         return Finding(verdict, f"{text} ({n} {'pairs' if paired else 'trials'})", more)
 
     return rule

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from trl_explore.names import option_label, strategy_label
 from trl_explore.statistics.bootstrap import bootstrap
-from trl_explore.statistics.choices import choice_name
 from trl_explore.statistics.estimates import Estimate
 from trl_explore.thesis import rules
 from trl_explore.thesis.model import OPEN, Claim, Finding
@@ -34,12 +34,16 @@ def baseline_drastic(study: Study, rng: np.random.Generator) -> Finding:
     for strategy in dict.fromkeys(o.strategy for o in study.experiment("baselines")):
         jobs = study.choices("baselines", strategy, "baseline")
         samples = {
-            name: study.sample(o, "iterations", f"{strategy} with {choice_name(name, 'baseline')}")
+            name: study.sample(
+                o, "iterations", f"{strategy_label(strategy)} with {option_label('baseline', name)}"
+            )
             for name, o in jobs.items()
         }
         plain = samples.pop("Constant", None)
         if plain is None or not samples:
-            raise NotMeasuredError(f"{strategy} was not run both without and with a baseline")
+            raise NotMeasuredError(
+                f"{strategy_label(strategy)} was not run both without and with a baseline"
+            )
         parts.append(
             rules.any_of([ratio_below(s, plain, DRASTICALLY, study, rng) for s in samples.values()])
         )

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from trl_explore.names import strategy_label
 from trl_explore.statistics.bootstrap import bootstrap
 from trl_explore.statistics.estimates import Estimate
 from trl_explore.thesis import rules
@@ -25,7 +26,8 @@ def never_passes(strategy: str) -> Decision:
 
     def decide(study: Study, rng: np.random.Generator) -> Finding:
         o = study.strategy(strategy)
-        return rules.never(int(o.converged.sum()), len(o), f"{strategy} trials pass")(study.level)
+        what = f"{strategy_label(strategy)} trials pass"
+        return rules.never(int(o.converged.sum()), len(o), what)(study.level)
 
     return decide
 
@@ -36,7 +38,8 @@ def some_fail(strategy: str) -> Decision:
     def decide(study: Study, rng: np.random.Generator) -> Finding:
         o = study.strategy(strategy)
         failed = len(o) - int(o.converged.sum())
-        return rules.some(failed, len(o), f"{strategy} trials fail")(study.level)
+        what = f"{strategy_label(strategy)} trials fail"
+        return rules.some(failed, len(o), what)(study.level)
 
     return decide
 
@@ -47,7 +50,8 @@ def none_fails(strategy: str) -> Decision:
     def decide(study: Study, rng: np.random.Generator) -> Finding:
         o = study.strategy(strategy)
         failed = len(o) - int(o.converged.sum())
-        return rules.never(failed, len(o), f"{strategy} trials fail")(study.level)
+        what = f"{strategy_label(strategy)} trials fail"
+        return rules.never(failed, len(o), what)(study.level)
 
     return decide
 
@@ -60,7 +64,8 @@ def most_fail(*strategies: str) -> Decision:
         for name in strategies:
             o = study.strategy(name)
             count = int(o.converged.sum())
-            parts.append(rules.share_below(count, len(o), rules.MOSTLY, f"{name} trials pass"))
+            what = f"{strategy_label(name)} trials pass"
+            parts.append(rules.share_below(count, len(o), rules.MOSTLY, what))
         return rules.all_of(parts, study.level)
 
     return decide
@@ -104,7 +109,8 @@ def _mean(x: np.ndarray) -> np.ndarray:
 
 def _rate(study: Study, strategy: str, bound: float) -> rules.Rule:
     o = study.strategy(strategy)
-    return rules.share_above(int(o.converged.sum()), len(o), bound, f"{strategy} trials pass")
+    what = f"{strategy_label(strategy)} trials pass"
+    return rules.share_above(int(o.converged.sum()), len(o), bound, what)
 
 
 CLAIMS = (

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from trl_explore.names import strategy_label
 from trl_explore.statistics.bootstrap import bootstrap
 from trl_explore.statistics.estimates import Estimate
 from trl_explore.thesis import rules
@@ -72,7 +73,7 @@ def skewed(strategy: str, bounds: tuple[float, float]) -> TimeDecision:
 
     def decide(study: Study, rng: np.random.Generator, unit: str) -> Finding:
         s = study.sample(study.strategy(strategy), unit)
-        return _shape(skewness, [s], bounds, f"skewness of {strategy}", study, rng)
+        return _shape(skewness, [s], bounds, f"skewness of {strategy_label(strategy)}", study, rng)
 
     return decide
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trl_explore.statistics.choices import choice_name
+from trl_explore.names import option_label, strategy_label
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.thesis import conclusion, iterations, outlook, rules, score
 from trl_explore.thesis.model import (
@@ -114,7 +114,10 @@ def mostly_bias(strategy: str) -> score.Decision:
         excess = [
             _excess(study.sample(o, "iterations"), study.sample(best, "iterations"), label)
             for o, label in (
-                (ratio, f"twice the excess of {strategy} over softmax with the ratio"),
+                (
+                    ratio,
+                    f"twice the excess of {strategy_label(strategy)} over softmax with the ratio",
+                ),
                 (plain, "that without"),
             )
         ]
@@ -136,7 +139,7 @@ def argmax_beyond_repair(study: Study, rng: np.random.Generator) -> Finding:
                 int(o.converged.sum()),
                 len(o),
                 rules.ALMOST_ALWAYS,
-                f"argmax trials pass, {choice_name(name, 'correction')}",
+                f"argmax trials pass, {option_label('correction', name)}",
             )
             for name, o in jobs.items()
         ],
@@ -153,7 +156,7 @@ def variance_costs_more(study: Study, rng: np.random.Generator) -> Finding:
             name: study.sample(
                 _need(jobs, name, strategy),
                 "iterations",
-                f"{strategy} with {choice_name(name, 'correction')}",
+                f"{strategy_label(strategy)} with {option_label('correction', name)}",
             )
             for name in (RATIO, *UNBIASED)
         }
@@ -169,9 +172,10 @@ def hot_softmax_repaired(study: Study, rng: np.random.Generator) -> Finding:
     parts = []
     for correction in (PLAIN, RATIO):
         grid = study.under(correction).grid("temperature_grid", "temperature")
+        how = option_label("correction", correction)
         if HOT not in grid:
-            raise NotMeasuredError(f"T = {HOT} was not run with correction {correction}")
-        o, what = grid[HOT], f"trials pass at T = {HOT}, {choice_name(correction, 'correction')}"
+            raise NotMeasuredError(f"T = {HOT}, {how}, was not run")
+        o, what = grid[HOT], f"trials pass at T = {HOT}, {how}"
         count = int(o.converged.sum())
         if correction == PLAIN:
             parts.append(rules.never(count, len(o), what))
@@ -196,7 +200,8 @@ def every_temperature_serves(study: Study, rng: np.random.Generator) -> Finding:
 
 def _need(jobs: dict[str, Outcomes], name: str, strategy: str) -> Outcomes:
     if name not in jobs:
-        raise NotMeasuredError(f"{strategy} was not run with {choice_name(name, 'correction')}")
+        how = option_label("correction", name)
+        raise NotMeasuredError(f"{strategy_label(strategy)} was not run with {how}")
     return jobs[name]
 
 
