@@ -33,16 +33,3 @@ def test_schedules_are_named_with_their_parameter(make):
     jobs = [job(kind="Linear", initial=2.0), job(kind="Cosine", initial=2.0, final=1.0)]
     labels = list(configuration_labels(jobs).values())
     assert [label.split(",")[0] for label in labels] == ["T = Linear", "T = Cosine"]
-
-
-def test_every_strategy_of_the_configuration_has_a_label_and_a_look():
-    from trl_explore.config import CONF
-    from trl_explore.names import STRATEGIES, strategy_label
-    from trl_explore.report.style import KNOWN, styles
-
-    names = sorted(path.stem for path in (CONF / "strategy").glob("*.yaml"))
-    assert set(KNOWN) <= set(names)
-    assert set(STRATEGIES) == set(names)
-    assert len({strategy_label(name) for name in names}) == len(names)
-    looks = styles(names)
-    assert len({(look.marker, look.line) for look in looks}) == len(names)

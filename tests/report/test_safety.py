@@ -165,17 +165,6 @@ def spoil(job: Path, **record) -> None:
 
 
 @pytest.fixture
-def make_job(request):
-    path = ROOT / "tests" / "report" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("report_conftest", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.write_job
-
-
-@pytest.fixture
 def evil(tmp_path, make_job) -> Path:
     """Two jobs all of whose texts are meant to be taken for something else."""
     folder_name = EVIL.replace("/", "").replace("\n", "").replace("\r", "")[:80]

@@ -11,10 +11,15 @@ from trl_explore.names import experiment
 from trl_explore.report.curves import Traces, read_traces
 from trl_explore.report.groups import Group, group_jobs
 from trl_explore.report.loading import Gap, Loaded
-from trl_explore.statistics.answer import answer, because
+from trl_explore.report.sentences import (
+    answer,
+    because,
+    option_sentences,
+    plane_sentences,
+    verdicts,
+)
 from trl_explore.statistics.bootstrap import RESAMPLES, streams
 from trl_explore.statistics.comparisons import Comparison, compare_all, compare_pairs
-from trl_explore.statistics.effects import option_sentences, plane_sentences
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import SharedTrials, shared_trials
@@ -98,13 +103,12 @@ def gather(loaded: Loaded, *, resamples: int = RESAMPLES) -> Evidence:
     checked = check_claims(study, rngs["claims"])
     reexamined, causes = _why(study, rngs)
     bias = because([c for c in causes if c.claim.id in why.BIAS])
-    last = answer([], [], checked)[2]
     return Evidence(
         groups=parts,
         checked=checked,
         reexamined=reexamined,
         causes=causes,
-        answer=(*parts[0].sentences, *([bias] if bias else []), last),
+        answer=(*parts[0].sentences, *([bias] if bias else []), verdicts(checked)),
         shared=shared_trials(outcomes),
         gaps=gaps,
         outcomes=outcomes,
@@ -202,4 +206,4 @@ def _sentences(group: Group, comparisons: Sequence[Comparison]) -> tuple[str, ..
         rows, options = group.crossed.rows, group.crossed.options
         cells = {name: (rows[r], options[o]) for (r, o), name in group.crossed.cells.items()}
         return option_sentences(comparisons, cells)
-    return answer(group.configurations, comparisons, [], labels=group.labels)[:2]
+    return answer(group.configurations, comparisons, labels=group.labels)

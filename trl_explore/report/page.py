@@ -27,7 +27,7 @@ from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.thesis import NOT_MEASURED
 
 TITLE = "What does the exploration strategy do to learning?"
-PACKAGES = ("numpy", "scipy", "statsmodels", "matplotlib")
+PACKAGES = ("numpy", "scipy", "matplotlib")
 
 
 @dataclass(frozen=True)

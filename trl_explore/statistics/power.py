@@ -101,59 +101,6 @@ def fewest_pairs(level: float = LEVEL) -> int:
     return math.ceil(1.0 - math.log2(1.0 - level) - 1e-9)
 
 
-def detectable_rate_difference(
-    rate: float, n: ArrayLike, *, power: float = POWER, level: float = LEVEL
-) -> NDArray[np.float64]:
-    """Smallest change of a pass rate that two independent samples of n trials would show.
-
-    δ = (z_{1-α/2} + z_power) √(2 p (1 - p) / n), both variances taken at p: for rates away
-    from 0 and 1, where one of the two decides.
-
-    Args:
-        rate: p in [0, 1].
-        n: trials in each configuration, any shape.
-        power: probability to find it.
-        level: 1 - α of the two-sided test.
-
-    Returns:
-        δ, a difference of proportions, shape of ``n``.
-
-    >>> round(float(detectable_rate_difference(0.5, 100)), 3)
-    0.198
-
-    """
-    _check_rate(rate)
-    return detectable_difference(math.sqrt(2 * rate * (1 - rate)), n, power=power, level=level)
-
-
-def trials_for_rates(
-    rate_a: float, rate_b: float, *, power: float = POWER, level: float = LEVEL
-) -> int | None:
-    """Trials in each of two independent configurations to tell their pass rates apart.
-
-    n = ⌈(z_{1-α/2} √(2 p̄(1-p̄)) + z_power √(p_a(1-p_a) + p_b(1-p_b)))² / (p_a - p_b)²⌉
-
-    Returns:
-        n; None where the rates are equal.
-
-    Raises:
-        ValueError: a rate outside [0, 1]; power or level outside (0, 1).
-
-    Source: Fleiss, Levin & Paik, Statistical Methods for Rates and Proportions (2003), §4.2.
-
-    >>> trials_for_rates(0.95, 0.98)
-    588
-
-    """
-    _check_rate(rate_a)
-    _check_rate(rate_b)
-    z_level, z_power = _z(power, level)
-    mean = (rate_a + rate_b) / 2
-    separate = rate_a * (1 - rate_a) + rate_b * (1 - rate_b)
-    z_sd = z_level * math.sqrt(2 * mean * (1 - mean)) + z_power * math.sqrt(separate)
-    return None if rate_a == rate_b else _whole((z_sd / (rate_a - rate_b)) ** 2)
-
-
 def trials_for_rate_bound(
     rate: float, bound: float, *, power: float = POWER, level: float = LEVEL
 ) -> int | None:

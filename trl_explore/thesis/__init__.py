@@ -24,7 +24,10 @@ from trl_explore.thesis import (
     time,
 )
 from trl_explore.thesis.model import (
+    FAILS,
+    HOLDS,
     NOT_MEASURED,
+    OPEN,
     VERDICTS,
     Checked,
     Claim,
@@ -65,7 +68,10 @@ def _decide(claim: Claim, study: Study, rng: np.random.Generator) -> Finding:
 
 __all__ = [
     "CLAIMS",
+    "FAILS",
+    "HOLDS",
     "NOT_MEASURED",
+    "OPEN",
     "VERDICTS",
     "Checked",
     "Claim",

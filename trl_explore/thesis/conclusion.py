@@ -9,7 +9,7 @@ from trl_explore.statistics.comparisons import compare_all
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import pair_indices
 from trl_explore.statistics.power import trials_for_difference, trials_for_rate_bound
-from trl_explore.statistics.rank_tests import probability_faster
+from trl_explore.statistics.survival import probability_faster
 from trl_explore.thesis import rules
 from trl_explore.thesis.model import FAILS, HOLDS, OPEN, Claim, Finding
 from trl_explore.thesis.study import STRATEGIES, Study

@@ -6,9 +6,9 @@ from collections import Counter
 
 import numpy as np
 
+from trl_explore.statistics.estimates import pass_rate
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import trial_keys
-from trl_explore.statistics.proportions import pass_rate
 from trl_explore.thesis import rules
 from trl_explore.thesis.model import Claim, Finding
 from trl_explore.thesis.study import CAPS, NotMeasuredError, Study

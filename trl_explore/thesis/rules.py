@@ -23,10 +23,9 @@ import numpy as np
 from scipy import stats
 
 from trl_explore.statistics.bootstrap import RESAMPLES
-from trl_explore.statistics.differences import mean_difference
-from trl_explore.statistics.estimates import Estimate
+from trl_explore.statistics.comparisons import mean_difference
+from trl_explore.statistics.estimates import Estimate, pass_rate
 from trl_explore.statistics.power import trials_for_difference, trials_for_rate_bound
-from trl_explore.statistics.proportions import pass_rate
 from trl_explore.thesis.model import (
     FAILS,
     HOLDS,

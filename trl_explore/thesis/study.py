@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from trl_explore.names import OPTIONS, option_of, strategy_label, symbol
 from trl_explore.statistics.bootstrap import RESAMPLES
 from trl_explore.statistics.estimates import LEVEL
-from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.outcomes import Outcomes, convergence_times
 from trl_explore.statistics.pairing import configuration_key, deduplicate, pool, trial_keys
-from trl_explore.statistics.survival import convergence_times
 
 STRATEGIES = ("random", "argmax", "epsilon_greedy", "decaying_epsilon_greedy", "softmax")
 

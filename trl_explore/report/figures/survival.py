@@ -22,12 +22,8 @@ from trl_explore.report.figures.kind import Kind, crossed, passed, plain, trials
 from trl_explore.report.figures.panels import Panel, draw_panels, panels_of
 from trl_explore.report.style import INK, MUTED, Style
 from trl_explore.statistics.estimates import LEVEL
-from trl_explore.statistics.survival import (
-    SurvivalCurve,
-    convergence_times,
-    kaplan_meier,
-    number_at_risk,
-)
+from trl_explore.statistics.outcomes import convergence_times
+from trl_explore.statistics.survival import SurvivalCurve, kaplan_meier, number_at_risk
 
 MARKS = 9
 BANDS_UP_TO = 6
