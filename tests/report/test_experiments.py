@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 from trl_explore.config import CONF
+from trl_explore.names import EXPERIMENTS
 from trl_explore.report.build import build_report
 from trl_explore.report.groups import group_jobs
-from trl_explore.report.labels import EXPERIMENTS
 from trl_explore.report.loading import load
 
 NAMES = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
@@ -44,7 +44,7 @@ def smaller(name: str) -> list[str]:
 @pytest.mark.parametrize("name", NAMES)
 def test_an_experiment_has_a_title_and_is_drawn(runs, tmp_path, name):
     (group,) = group_jobs(load([runs / name]).jobs)
-    assert group.title == EXPERIMENTS[name]
+    assert group.title == EXPERIMENTS[name].title
     layout = LAYOUTS.get(name)
     assert (group.crossed is not None) == (layout == "crossed")
     assert (group.plane is not None) == (layout == "plane")
@@ -52,7 +52,7 @@ def test_an_experiment_has_a_title_and_is_drawn(runs, tmp_path, name):
     assert not set(group.labels) & set(group.labels.values()) - {"softmax", "argmax", "random"}
     page, gaps = build_report([runs / name], tmp_path, resamples=49)
     assert not gaps
-    assert EXPERIMENTS[name] in page.read_text(encoding="utf-8")
+    assert EXPERIMENTS[name].title in page.read_text(encoding="utf-8")
     assert list((tmp_path / "figures").glob("*.svg"))
 
 

@@ -335,7 +335,7 @@ def thesis_strategy(o: Outcomes) -> str:
         ({"window": 10}, "window 10"),
         ({"config": {"env": {"id": "Acrobot-v1"}}}, "environment Acrobot-v1"),
         ({"config": {"stop_on": "evaluation"}}, "stopping scores evaluation"),
-        ({"parameters": {"temperature": 2.0}}, "not run with temperature 1"),
+        ({"parameters": {"temperature": 2.0}}, "not run with T = 1"),
         ({"converged": np.zeros(5, bool)}, "stopped unconverged after"),
     ],
 )

@@ -141,7 +141,7 @@ def test_the_doubled_excess_by_hand(make):
     (claim,) = [c for c in why.CLAIMS if c.id == "why.epsilon_greedy_mostly_bias"]
     (checked,) = check_claims(study.study(), np.random.default_rng(0), [claim])
     assert checked.finding.verdict == "holds"
-    assert "-100.0 iterations" in checked.finding.evidence
+    assert "−100.0 iterations" in checked.finding.evidence
 
 
 def test_what_becomes_of_the_conclusions(world):

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from trl_explore.names import option_label, strategy_label
 from trl_explore.statistics.bootstrap import bootstrap, mean
-from trl_explore.statistics.choices import choice_name
 from trl_explore.statistics.comparisons import compare_all
 from trl_explore.statistics.estimates import Estimate
 from trl_explore.statistics.power import trials_for_difference
@@ -57,7 +57,9 @@ def least(strategy: str, *, converging: bool = False) -> UnitDecision:
         best = found.pop(strategy)
         others = [s for s in found.values() if len(s) > 0]
         if len(best) == 0 or not others:
-            return Finding(OPEN, f"no trials of {strategy}, or none of the others, converge")
+            return Finding(
+                OPEN, f"no trials of {strategy_label(strategy)}, or none of the others, converge"
+            )
         return smaller(study, rng, [(best, other) for other in others])
 
     return decide
@@ -157,7 +159,7 @@ def _one_sample(
 ) -> UnitDecision:
     def decide(study: Study, rng: np.random.Generator, unit: str) -> Finding:
         x = study.sample(study.strategy(strategy), unit).values
-        what = f"{name} of {strategy}"
+        what = f"{name} of {strategy_label(strategy)}"
         return _bootstrapped(statistic, [x], False, bounds, what, study, rng)(study.level)
 
     return decide
@@ -175,12 +177,16 @@ def baseline_drastic(study: Study, rng: np.random.Generator) -> Finding:
     parts = []
     for strategy in dict.fromkeys(o.strategy for o in study.experiment("baselines")):
         found = {
-            name: study.sample(o, "iterations", f"{strategy} with {choice_name(name, 'baseline')}")
+            name: study.sample(
+                o, "iterations", f"{strategy_label(strategy)} with {option_label('baseline', name)}"
+            )
             for name, o in study.choices("baselines", strategy, "baseline").items()
         }
         plain = found.pop("Constant", None)
         if plain is None or not found:
-            raise NotMeasuredError(f"{strategy} was not run both without and with a baseline")
+            raise NotMeasuredError(
+                f"{strategy_label(strategy)} was not run both without and with a baseline"
+            )
         over = f"over that of {plain.label}"
         parts.append(
             rules.any_of(

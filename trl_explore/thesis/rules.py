@@ -210,15 +210,19 @@ def percent(rate: Estimate) -> str:
 def interval(e: Estimate, unit: str = "") -> str:
     """Write a quantity with its interval."""
     if np.isnan(e.low):
-        return f"{e.value:.3g} {unit}".strip() + " (no interval)"
+        return f"{_signed(f'{e.value:.3g}')} {unit}".strip() + " (no interval)"
     digits = _digits(max(abs(e.low), abs(e.high)))
-    value, low, high = (f"{x:.{digits}f}" for x in (e.value, e.low, e.high))
+    value, low, high = (_signed(f"{x:.{digits}f}") for x in (e.value, e.low, e.high))
     return f"{value} {unit}".strip() + f", {100 * e.level:.3g} % interval {low} to {high}"
 
 
 def p_value(p: float) -> str:
     """Write a p-value."""
     return f"{p:.2g}" if p >= 0.001 else f"{p:.0e}"
+
+
+def _signed(number: str) -> str:
+    return f"−{number[1:]}" if number.startswith("-") else number
 
 
 def _digits(size: float) -> int:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from trl_explore.names import strategy_label
 from trl_explore.statistics.estimates import pass_rate
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import pair_indices, trial_keys
@@ -27,7 +28,9 @@ EARLY = 450
 def pass_rates(*strategies: str, **bound: float) -> Decision:
     """P > ``above``, or p < ``below``, for each of the strategies."""
     return lambda study, rng: all_passing(
-        study, {f"{name} trials pass": study.strategy(name) for name in strategies}, **bound
+        study,
+        {f"{strategy_label(name)} trials pass": study.strategy(name) for name in strategies},
+        **bound,
     )
 
 
@@ -41,7 +44,9 @@ def never_passes(strategy: str) -> Decision:
 
     def decide(study: Study, rng: np.random.Generator) -> Finding:
         o = study.strategy(strategy)
-        return rules.never(int(o.converged.sum()), len(o), f"{strategy} trials pass")(study.level)
+        return rules.never(
+            int(o.converged.sum()), len(o), f"{strategy_label(strategy)} trials pass"
+        )(study.level)
 
     return decide
 
@@ -58,7 +63,9 @@ def sometimes_fails(strategy: str) -> Decision:
 
 def _failures(study: Study, strategy: str, rule: Callable[..., rules.Rule]) -> Finding:
     o = study.strategy(strategy)
-    return rule(int((~o.converged).sum()), len(o), f"{strategy} trials fail")(study.level)
+    return rule(int((~o.converged).sum()), len(o), f"{strategy_label(strategy)} trials fail")(
+        study.level
+    )
 
 
 def only_one_epsilon_passes(study: Study, rng: np.random.Generator) -> Finding:
@@ -175,7 +182,8 @@ def _faster(a: Outcomes, b: Outcomes) -> rules.Rule:
         chance = probability_faster(*times, paired=paired, level=level)
         verdict = rules.decided(chance.above(0.5), chance.below(0.5))
         needed = trials_for_rate_bound(chance.value, 0.5, level=level)
-        text = f"{a.strategy} converges before {b.strategy} in {rules.percent(chance)}"
+        first, second = strategy_label(a.strategy), strategy_label(b.strategy)
+        text = f"{first} converges before {second} in {rules.percent(chance)}"
         design = f"({n} {'pairs' if paired else 'trials'})"
         return Finding(verdict, f"{text} {design}", rules.more(verdict, needed, n))
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trl_explore.names import OPTIONS, option_of, strategy_label, symbol
 from trl_explore.statistics.bootstrap import RESAMPLES
-from trl_explore.statistics.choices import NAMES, choice
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes, convergence_times
 from trl_explore.statistics.pairing import configuration_key, deduplicate, pool, trial_keys
@@ -106,7 +106,7 @@ class Study:
         chosen = [
             o
             for o in self.outcomes
-            if o.experiment in places.values() and choice(o, "correction") == correction
+            if o.experiment in places.values() and option_of(o.config, "correction") == correction
         ]
         strategies = [name for name in self.strategies if name != "random"]
         return replace(self, outcomes=chosen, strategies=strategies, places=places)
@@ -134,16 +134,17 @@ class Study:
             NotMeasuredError: it was not run, or only with other parameters or conditions.
 
         """
+        called = strategy_label(name)
         jobs = [o for o in self.experiment(experiment) if o.strategy == name]
         if not jobs:
-            raise NotMeasuredError(f"{name} was not run in the experiment {experiment}")
+            raise NotMeasuredError(f"{called} was not run in the experiment {experiment}")
         expected = PARAMETERS.get(name, {})
         alike = [o for o in jobs if all(o.parameters.get(k, v) == v for k, v in expected.items())]
         if not alike:
-            wanted = ", ".join(f"{k} {v:g}" for k, v in expected.items())
-            raise NotMeasuredError(f"{name} was not run with {wanted}, as in the thesis")
+            wanted = ", ".join(f"{symbol(k)} = {v:g}" for k, v in expected.items())
+            raise NotMeasuredError(f"{called} was not run with {wanted}, as in the thesis")
         if len({configuration_key(o) for o in alike}) > 1:
-            raise NotMeasuredError(f"{experiment} has several configurations of {name}")
+            raise NotMeasuredError(f"{experiment} has several configurations of {called}")
         return _pooled(alike)
 
     def choices(self, experiment: str, strategy: str, group: str) -> dict[str, Outcomes]:
@@ -159,13 +160,13 @@ class Study:
 
         """
         jobs = [o for o in self.experiment(experiment) if o.strategy == strategy]
-        names = dict.fromkeys(choice(o, group) for o in jobs)
-        known = [n for n in NAMES[group] if n in names] + [
-            n for n in names if n not in NAMES[group]
+        names = dict.fromkeys(option_of(o.config, group) for o in jobs)
+        known = [n for n in OPTIONS[group] if n in names] + [
+            n for n in names if n not in OPTIONS[group]
         ]
         found = {}
         for name in known:
-            mine = [o for o in jobs if choice(o, group) == name]
+            mine = [o for o in jobs if option_of(o.config, group) == name]
             found[name] = replace(self, outcomes=mine, places={}).strategy(
                 strategy, self.places.get(experiment, experiment)
             )
@@ -187,7 +188,7 @@ class Study:
         for value, jobs in by_value.items():
             if len({configuration_key(o) for o in jobs}) > 1:
                 raise NotMeasuredError(
-                    f"{experiment} has several configurations with {parameter} {value:g}"
+                    f"{experiment} has several configurations with {symbol(parameter)} = {value:g}"
                 )
         return {value: _pooled(by_value[value]) for value in sorted(by_value)}
 
@@ -198,7 +199,7 @@ class Study:
             NotMeasuredError: seconds that were not measured or do not fit the trials.
 
         """
-        name = label or outcomes.strategy
+        name = label or strategy_label(outcomes.strategy)
         keys, converged = trial_keys(outcomes), np.asarray(outcomes.converged, dtype=bool)
         if unit == "iterations":
             values = outcomes.durations.astype(np.float64)
@@ -214,7 +215,9 @@ class Study:
         options += [outcomes.strategy] if outcomes.experiment == "thesis" else []
         key = next((k for k in options if k in self.seconds), None)
         if key is None:
-            raise NotMeasuredError(f"no trial of {outcomes.name} was timed by itself")
+            raise NotMeasuredError(
+                f"no trial of {strategy_label(outcomes.strategy)} was timed by itself"
+            )
         values = np.asarray(self.seconds[key], dtype=np.float64)
         trials = self.timed_trials.get(key)
         if trials is None:
@@ -224,7 +227,9 @@ class Study:
             where = np.array([first.get(int(t), -1) for t in np.asarray(trials)], dtype=np.intp)
         fits = len(where) == len(values) > 0 and (where >= 0).all() and len(values) <= len(outcomes)
         if not fits or not np.isfinite(values).all():
-            raise NotMeasuredError(f"the timed trials of {outcomes.name} do not fit its trials")
+            raise NotMeasuredError(
+                f"the timed trials of {strategy_label(outcomes.strategy)} do not fit its trials"
+            )
         return values, where
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trl_explore.statistics.choices import choice_name
+from trl_explore.names import option_label, strategy_label
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import common
 from trl_explore.thesis import rules
@@ -102,7 +102,7 @@ def mostly_bias(strategy: str) -> Decision:
         plain, ratio = _need(jobs, PLAIN, strategy), _need(jobs, RATIO, strategy)
         best = study.under(PLAIN).strategy("softmax")
         best = study.sample(best, "iterations")
-        label = f"twice the excess of {strategy} over softmax with the ratio"
+        label = f"twice the excess of {strategy_label(strategy)} over softmax with the ratio"
         corrected = _excess(study.sample(ratio, "iterations"), best, label)
         doubled = replace(corrected, values=2 * corrected.values)
         excess = _excess(study.sample(plain, "iterations"), best, "that without")
@@ -115,7 +115,7 @@ def argmax_beyond_repair(study: Study, rng: np.random.Generator) -> Finding:
     """p(argmax passes) < 80 % under every correction."""
     jobs = study.choices("corrections", "argmax", "correction")
     _need(jobs, RATIO, "argmax")
-    passing = {f"argmax trials pass, {choice_name(n, 'correction')}": o for n, o in jobs.items()}
+    passing = {f"argmax trials pass, {option_label('correction', n)}": o for n, o in jobs.items()}
     return all_passing(study, passing, below=rules.ALMOST_ALWAYS)
 
 
@@ -128,7 +128,7 @@ def variance_costs_more(study: Study, rng: np.random.Generator) -> Finding:
             study.sample(
                 _need(jobs, name, strategy),
                 "iterations",
-                f"{strategy} with {choice_name(name, 'correction')}",
+                f"{strategy_label(strategy)} with {option_label('correction', name)}",
             )
             for name in (RATIO, *UNBIASED)
         )
@@ -141,9 +141,10 @@ def hot_softmax_repaired(study: Study, rng: np.random.Generator) -> Finding:
     parts = []
     for correction in (PLAIN, RATIO):
         grid = study.under(correction).grid("temperature_grid", "temperature")
+        how = option_label("correction", correction)
         if HOT not in grid:
-            raise NotMeasuredError(f"T = {HOT} was not run with correction {correction}")
-        o, what = grid[HOT], f"trials pass at T = {HOT}, {choice_name(correction, 'correction')}"
+            raise NotMeasuredError(f"T = {HOT}, {how}, was not run")
+        o, what = grid[HOT], f"trials pass at T = {HOT}, {how}"
         if correction == PLAIN:
             parts.append(rules.never(int(o.converged.sum()), len(o), what))
         else:
@@ -160,7 +161,8 @@ def every_temperature_serves(study: Study, rng: np.random.Generator) -> Finding:
 
 def _need(jobs: dict[str, Outcomes], name: str, strategy: str) -> Outcomes:
     if name not in jobs:
-        raise NotMeasuredError(f"{strategy} was not run with {choice_name(name, 'correction')}")
+        how = option_label("correction", name)
+        raise NotMeasuredError(f"{strategy_label(strategy)} was not run with {how}")
     return jobs[name]
 
 
