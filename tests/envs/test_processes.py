@@ -181,7 +181,7 @@ def test_an_environment_that_cannot_be_sent_is_one_clear_line(monkeypatch, child
 def test_no_process_outlives_the_main_one():
     """Not even one that is killed."""
     script = (
-        "from pathlib import Path; import os, time; from trl_explore.lanes import LaneVectorEnv\n"
+        "from pathlib import Path; import os, time; from trl_explore.envs import LaneVectorEnv\n"
         "lanes = LaneVectorEnv('CartPole-v1', 3, workers=3); lanes.reset()\n"
         "print(Path(f'/proc/self/task/{os.getpid()}/children').read_text(), flush=True)\n"
         "time.sleep(60)"

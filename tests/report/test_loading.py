@@ -14,14 +14,24 @@ from trl_explore.jobs.columns import ResultsError
 from trl_explore.report.build import build_report
 from trl_explore.report.loading import UNFINISHED, load
 
+WITHOUT_TORCH = """
+import runpy, sys
+try:
+    runpy.run_path(sys.argv.pop(1), run_name="__main__")
+finally:
+    heavy = {"torch", "tensordict", "torchrl", "hydra", "omegaconf", "numba"} & set(sys.modules)
+    assert not heavy, heavy
+"""
+
 
 @pytest.fixture
 def report(request: pytest.FixtureRequest) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """``python scripts/report.py *args`` in a process of its own."""
+    """``python -W error scripts/report.py *args``; fails if that imports torch, Hydra or numba."""
     script = request.config.rootpath / "scripts" / "report.py"
 
     def run(*args: Path | str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, str(script), *map(str, args)]
+        program = [sys.executable, "-W", "error", "-c", WITHOUT_TORCH, str(script)]
+        command = [*program, *map(str, args)]
         return subprocess.run(command, capture_output=True, text=True, check=False)
 
     return run

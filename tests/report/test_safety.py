@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 import json
 from html.parser import HTMLParser
 from pathlib import Path
@@ -150,17 +149,6 @@ class Page(HTMLParser):
 def spoil(job: Path, **record) -> None:
     run = json.loads((job / "run.json").read_text())
     (job / "run.json").write_text(json.dumps({**run, **record}))
-
-
-@pytest.fixture
-def make_job(request):
-    path = ROOT / "tests" / "report" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("report_conftest", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.write_job
 
 
 @pytest.fixture

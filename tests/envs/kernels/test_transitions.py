@@ -11,8 +11,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from trl_explore.envs.kernels import CompiledEnv, Kernel, check_kernel, kernel_function, kernel_of
-from trl_explore.envs.kernels import toy_text as tabular
+from trl_explore.envs.kernels import (
+    CompiledEnv,
+    Kernel,
+    check_kernel,
+    kernel_function,
+    kernel_of,
+    tabular,
+)
 from trl_explore.envs.kernels.cartpole import observe, reset
 from trl_explore.envs.kernels.kernel import _BUILDERS
 from trl_explore.numerics import philox
