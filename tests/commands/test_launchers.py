@@ -7,15 +7,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
-from hydra.core.plugins import Plugins
 from omegaconf import OmegaConf
 
-from trl_explore.config import CONF, ConfigError, sweeping
+from trl_explore.config import CONF, sweeping
 from trl_explore.jobs import sweeps
 from trl_explore.jobs.console import Progress
+from trl_explore.jobs.lock import Lock
 
 SWEEP = [
     "-m", "experiment=debug", "strategy=epsilon_greedy", "strategy.epsilon=0.1,2,0.4,0.10",
@@ -128,25 +127,15 @@ def test_again_under_another_launcher(parallel, run_cli):
     assert {job: (job / "run.json").stat().st_mtime_ns for job in before} == times
 
 
-# The collecting itself
+# What is read from the files
 
 
-class Sweeper:
-    """What a sweeper has; ``launch`` is what its launcher does."""
-
-    def __init__(self, folder: Path, launch) -> None:
-        self.config = OmegaConf.create({"hydra": {"sweep": {"dir": str(folder)}}})
-        self.launcher = SimpleNamespace(launch=launch)
-        self.hydra_context = SimpleNamespace(config_loader=self)
-
-    def load_sweep_config(self, config, overrides):
-        return OmegaConf.merge(config, {"hydra": {"sweep": {"subdir": overrides[0]}}})
-
-
-@pytest.fixture
-def leading(monkeypatch):
-    monkeypatch.setattr(sweeping._State, "leads", True)
-    monkeypatch.setattr(sweeping._State, "ended", [], raising=False)
+def sweep_of(folder: Path, *names: str) -> sweeping.Sweep:
+    """The callback after it has planned jobs of these names."""
+    sweep = sweeping.Sweep()
+    sweep.place, sweep.folders = folder, [folder / name for name in names]
+    sweeps.begin_sweep(folder, list(dict.fromkeys(names)))
+    return sweep
 
 
 def finish(folder: Path) -> None:
@@ -154,18 +143,28 @@ def finish(folder: Path) -> None:
     (folder / "run.json").write_text("{}")
 
 
-def test_a_launcher_that_breaks_loses_no_finished_job(tmp_path, leading, capsys):
+def collect(sweep: sweeping.Sweep, launch) -> list[sweeping.Ended]:
+    def start() -> None:
+        sweeping._State.sweep = sweep
+        launch()
+
+    try:
+        return sweeping.collect(start)
+    finally:
+        sweeping._State.leads = False
+
+
+def test_a_launcher_that_breaks_loses_no_finished_job(tmp_path, capsys):
     """A worker that was killed takes the launcher with it; the files say which jobs ended."""
 
-    def launch(batch, first):
+    def launch():
         finish(tmp_path / "a")
         sweeps.record_failure(tmp_path / "b", "wrong")
         raise RuntimeError("a worker was killed\nmore")
 
-    ended: list = []
-    watch = sweeping._Watch(Sweeper(tmp_path, launch), ended)
-    assert watch.launch([["a"], ["b"], ["c"]], 0) == []
-    assert [(job.folder.name, job.error) for job in ended] == [
+    assert [
+        (job.folder.name, job.error) for job in collect(sweep_of(tmp_path, *"abc"), launch)
+    ] == [
         ("a", ""),
         ("b", "wrong"),
         ("c", "the launcher lost it (RuntimeError: a worker was killed)"),
@@ -174,65 +173,57 @@ def test_a_launcher_that_breaks_loses_no_finished_job(tmp_path, leading, capsys)
     assert sweeps.read_asked(tmp_path) == ["a", "b", "c"]
 
 
-def test_what_is_named_twice_is_launched_once(tmp_path, leading):
-    launched = []
-
-    def launch(batch, first):
-        launched.extend(batch)
-        return [SimpleNamespace(return_value=sweeping.Ended(tmp_path / b[0])) for b in batch]
-
-    def load(config, overrides):
-        return OmegaConf.merge(config, {"hydra": {"sweep": {"subdir": overrides[0][0]}}})
-
-    sweeper = Sweeper(tmp_path, launch)
-    sweeper.load_sweep_config = load
-    returned = sweeping._Watch(sweeper, []).launch([["a"], ["ab"], ["b"]], 0)
-    assert launched == [["a"], ["b"]]
-    assert [r.return_value.folder.name for r in returned] == ["a", "a", "b"]
+def test_a_job_without_a_word_is_in_use_or_was_cut_off(tmp_path, capsys):
+    with Lock(tmp_path / "b"):
+        cut, used = collect(sweep_of(tmp_path, *"ab"), lambda: None)
+    assert cut.error == "it was cut off; the same command goes on"
+    assert used.error == f"{tmp_path / 'b'} is in use: another process runs this job"
+    assert capsys.readouterr().err.count("error: ") == 2
 
 
-def test_a_finished_sweep_leaves_no_list(tmp_path, leading):
+def test_what_this_process_has_said_is_said_once(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sweeping, "is_multirun", lambda: True)
+    sweep = sweep_of(tmp_path, *"aba")
+    jobs = collect(sweep, lambda: sweeping.end_job(tmp_path / "a", "wrong", record=False))
+    assert [job.folder.name for job in jobs] == ["a", "b"]
+    assert capsys.readouterr().err.splitlines()[0] == "error: a: wrong"
+
+
+def test_what_is_named_twice_is_repeated(tmp_path):
+    sweep, seen = sweep_of(tmp_path, *"aba"), []
+    for number in (0, 1, 2, 3, "???"):
+        sweep.on_job_start(OmegaConf.create({"hydra": {"job": {"num": number}}}))
+        seen.append(sweeping.is_repeated())
+    assert seen == [False, False, True, False, False]
+
+
+def test_a_finished_sweep_leaves_no_list(tmp_path):
     """So that a sweep that was interrupted ends with the same files as one that was not."""
-
-    def launch(batch, first):
-        assert sweeps.read_asked(tmp_path) == ["a"]
-        finish(tmp_path / "a")
-        return [SimpleNamespace(return_value=sweeping.Ended(tmp_path / "a"))]
-
-    sweeping._Watch(Sweeper(tmp_path, launch), []).launch([["a"]], 0)
+    collect(sweep_of(tmp_path, "a"), lambda: finish(tmp_path / "a"))
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
-def test_the_plugins_of_hydra_are_left_as_they_were(monkeypatch):
-    before = dict(vars(Plugins.instance()))
-    monkeypatch.setattr(sweeping._State, "leads", False)
-    with sweeping.collecting():
-        assert not sweeping.is_worker()
-    assert dict(vars(Plugins.instance())) == before
-
-
 @pytest.mark.parametrize("name", ["joblib", "submitit_local", "submitit_slurm", "ray"])
-def test_a_launcher_that_is_not_installed_is_one_line(name):
-    config = OmegaConf.load(CONF / "hydra" / "launcher" / f"{name}.yaml")
-    choices = {"hydra/launcher": name, "hydra/sweeper": "basic"}
-    whole = OmegaConf.create({"hydra": {"launcher": config, "runtime": {"choices": choices}}})
-    line = sweeping._not_installed(whole, RuntimeError("Unknown plugin class : 'x'"))
+def test_a_launcher_that_is_not_installed_is_one_line(name, monkeypatch):
+    launcher = OmegaConf.load(CONF / "hydra" / "launcher" / f"{name}.yaml")
+    hydra = {
+        "launcher": launcher,
+        "sweeper": {"_target_": "hydra._internal.core_plugins.basic_sweeper.BasicSweeper"},
+        "runtime": {"choices": {"hydra/launcher": name, "hydra/sweeper": "basic"}},
+    }
+    monkeypatch.setitem(sys.modules, launcher._target_.rpartition(".")[0], None)
+    line = sweeping._not_installed(OmegaConf.create({"hydra": hydra}))
     assert line.startswith(f"hydra/launcher={name} is not installed: pip install 'trl_explore[")
 
 
-def test_what_is_not_installed_ends_before_any_job(monkeypatch, tmp_path):
-    plugins = Plugins.instance()
-    config = OmegaConf.create(
-        {
-            "hydra": {
-                "sweeper": {"_target_": "hydra_plugins.nothing.Sweeper"},
-                "launcher": {"_target_": "hydra_plugins.nothing.Launcher"},
-                "runtime": {"choices": {"hydra/launcher": "x", "hydra/sweeper": "y"}},
-            }
-        }
-    )
-    with sweeping.collecting(), pytest.raises(ConfigError, match="hydra/launcher=x"):
-        plugins.instantiate_sweeper(config=config, hydra_context=None, task_function=None)
+@pytest.mark.skipif(installed(PLUGINS["ray"]), reason="the extra is installed")
+def test_what_is_not_installed_ends_before_any_job(run_many, tmp_path):
+    (ran,) = run_many([["-m", "experiment=debug", "trials=1,2", "hydra/launcher=ray"]], tmp_path)
+    assert (ran.returncode, ran.stdout) == (1, "")
+    assert ran.stderr.splitlines() == [
+        "error: hydra/launcher=ray is not installed: pip install 'trl_explore[ray]'"
+    ]
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["joblib", "submitit_local", "submitit_slurm"])
