@@ -536,6 +536,7 @@ def test_help_and_configuration_without_torch(run_many, tmp_path):
             ["--cfg", "job", "--resolve", "experiment=epsilon_grid"],
         ],
         cwd=tmp_path,
+        cold=True,
     )
     for process in (helped, shown, sweep):
         assert (process.returncode, complaints(process)) == (0, [])

@@ -120,22 +120,20 @@ def test_a_gap_is_marked_in_the_page_and_told_on_stderr(tmp_path, make_job, repo
     assert UNFINISHED in marked
 
 
-@pytest.mark.parametrize("what", ["empty", "absent", "foreign", "running", "file"])
-def test_nothing_to_report_is_one_line_and_status_1(tmp_path, make_job, report, what):
-    folder = tmp_path / "folder"
-    if what in ("foreign", "running"):
-        job = make_job(folder, "softmax", [150])
-        damage_foreign(job) if what == "foreign" else (job / "run.json").unlink()
-    elif what == "empty":
-        folder.mkdir()
-    elif what == "file":
-        folder.write_text("")
-    done = report(folder)
-    assert done.returncode == 1
-    assert done.stdout == ""
-    assert len(done.stderr.splitlines()) == 1
-    assert str(folder) in done.stderr
-    assert not (folder / "report").exists()
+def test_nothing_to_report_is_one_line_and_status_1(tmp_path, make_job, run_many, request):
+    folders = {what: tmp_path / what for what in ("empty", "absent", "foreign", "running", "file")}
+    damage_foreign(make_job(folders["foreign"], "softmax", [150]))
+    (make_job(folders["running"], "softmax", [150]) / "run.json").unlink()
+    folders["empty"].mkdir()
+    folders["file"].write_text("")
+    script = request.config.rootpath / "scripts" / "report.py"
+    commands = [[str(folder)] for folder in folders.values()]
+    for folder, done in zip(folders.values(), run_many(commands, tmp_path, script), strict=True):
+        assert done.returncode == 1
+        assert done.stdout == ""
+        assert len(done.stderr.splitlines()) == 1
+        assert str(folder) in done.stderr
+        assert not (folder / "report").exists()
 
 
 def test_the_same_job_given_twice_counts_once(tmp_path, make_job):
