@@ -215,7 +215,7 @@ def test_a_failing_job_is_named_and_the_others_are_run(place, ran, same):
     assert "1 of 3" in summary
     assert last.strip() == reason
     assert ran["retried"].returncode == 0
-    assert ran["retried"].stdout.count("finished before") == 2
+    assert ran["retried"].stdout.count("restart=true") == 2
     same("failing")
 
 
@@ -226,7 +226,7 @@ def test_a_signal_in_a_sweep(place, ran):
     assert re.match(r"terminated.* iteration \d+ ", line)
     assert name_of("argmax") in line
     assert "same command" in line
-    assert ran["went on"].stdout.count("finished before") == 1  # the third was never started
+    assert ran["went on"].stdout.count("restart=true") == 1  # the third was never started
 
 
 def test_a_long_iteration_is_broken_off(ran, same):
@@ -279,7 +279,7 @@ def test_a_full_disk_loses_no_finished_work(place, ran, same):
     assert re.search("checkpoint.*File too large", process.stderr)
     assert f"error: {name_of('argmax')}: " in process.stderr
     assert ran["room"].returncode == 0
-    assert ran["room"].stdout.count("finished before") == 1
+    assert ran["room"].stdout.count("restart=true") == 1
     same("full")
 
 
@@ -292,7 +292,7 @@ def test_a_truncated_file_of_a_finished_job_is_named(place, ran):
 
 def test_what_a_kill_left_beside_a_finished_job_goes(ran, same):
     assert ran["left over"].returncode == 0
-    assert ran["left over"].stdout.count("finished before") == 3
+    assert ran["left over"].stdout.count("restart=true") == 3
     same("hang")
 
 

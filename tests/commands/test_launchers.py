@@ -122,7 +122,7 @@ def test_again_under_another_launcher(serial, run_cli, tmp_path):
     again = [word.replace("0.1,2,0.4,0.10", "0.4,0.1") for word in SWEEP]
     ran = run_cli(*again, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path)
     assert ran.returncode == 0, ran.stderr
-    assert ran.stdout.count("finished before") == 2
+    assert ran.stdout.count("restart=true") == 2
     assert [row[0].split(",")[1] for row in table(ran.stdout)[-2:]] == [
         "epsilon=0.4", "epsilon=0.1",
     ]  # fmt: skip

@@ -262,7 +262,7 @@ def test_a_finished_folder_is_left_alone(place, folder, run_many):
         job_of(folder, strategy).name for strategy in STRATEGIES
     ]
     for process in (single, spelt):
-        assert f"{job.name}: finished before" in process.stdout
+        assert re.search(rf"{re.escape(job.name)}: .*restart=true", process.stdout)
         assert "results: " in process.stdout
     assert foreign.returncode == 1
     (line,) = complaints(foreign)
@@ -286,7 +286,7 @@ def test_restart_begins_anew(folder, run_many, tmp_path):
         cwd=tmp_path,
     )
     assert (same.returncode, complaints(same)) == (0, [])
-    assert "finished before" not in same.stdout
+    assert "restart=true" not in same.stdout
     assert (other.returncode, complaints(other)) == (0, [])
     assert (pd.read_csv(job / "trials.csv")["seed"] == 1).all()
     assert snapshot(job).keys() == finished.keys()
@@ -324,7 +324,7 @@ def test_an_unfinished_job_is_run(folder, run_many, tmp_path):
         [["experiment=debug", "score_threshold=40", f"output_dir={tmp_path}"]], tmp_path
     )
     assert (ran.returncode, complaints(ran)) == (0, [])
-    assert "finished before" not in ran.stdout
+    assert "restart=true" not in ran.stdout
     assert payload(job) == payload(job_of(folder, "softmax"))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -394,7 +395,7 @@ def test_time_claims_show_frames_beside(builder):
     assert "In frames: holds" in found.evidence
     missing = finding(replace(study, seconds={}), "time.argmax_varies_greatly")
     assert missing.verdict == "not measured"
-    assert "no trial of argmax was timed by itself. In frames: holds" in missing.evidence
+    assert re.search("argmax.*timed.*In frames: holds", missing.evidence)
 
 
 def test_seconds_find_their_trials(make):
