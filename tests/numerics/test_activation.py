@@ -88,5 +88,5 @@ def test_other_dtypes_take_the_plain_path(name):
 
 
 def test_an_unknown_activation():
-    with pytest.raises(ValueError, match=r"^activation must be tanh or relu, got 'gelu'$"):
+    with pytest.raises(ValueError, match=r"^activation.*tanh.*relu.*'gelu'"):
         activate(torch.zeros(1), "gelu")

@@ -98,9 +98,9 @@ def test_one_trial_each(make, rng):
 
 
 def test_other_caps_and_same_trials_are_refused(fast, make, rng):
-    with pytest.raises(ValueError, match="cap 1000, b has 5000"):
+    with pytest.raises(ValueError, match=r"cap 1000.*b.*5000"):
         compare(fast, make([100], strategy="b", cap=5000), rng)
-    with pytest.raises(ValueError, match="share 30 trials"):
+    with pytest.raises(ValueError, match="30 trials"):
         compare(fast, fast, rng)
 
 
@@ -139,10 +139,10 @@ def test_all_pairs_of_nothing(fast, rng):
 
 
 def test_all_pairs_refuse(fast, make, rng):
-    with pytest.raises(ValueError, match="named 'softmax'"):
+    with pytest.raises(ValueError, match="'softmax'"):
         compare_all([fast, make([1], parameters={"temperature": 2})], rng)
     grid = make([100], name="again", experiment="grid")
-    with pytest.raises(ValueError, match="thesis/softmax and grid/again share 1 trials"):
+    with pytest.raises(ValueError, match=r"thesis/softmax.*grid/again.*1 trial"):
         compare_all([fast, grid], rng)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -422,7 +423,7 @@ def test_time_claims_show_frames_beside(builder):
     assert "In frames: holds" in found.evidence
     missing = finding(replace(study, seconds={}), "time.argmax_varies_greatly")
     assert missing.verdict == "not measured"
-    assert "no trial of argmax was timed by itself. In frames: holds" in missing.evidence
+    assert re.search("argmax.*timed.*In frames: holds", missing.evidence)
 
 
 def test_seconds_find_their_trials(make):
@@ -443,7 +444,7 @@ def test_seconds_find_their_trials(make):
 def test_seconds_that_do_not_fit_are_not_measured(make, seconds, trials):
     o = make([100, 1000, 300, 400], strategy="argmax", first_trial=10)
     study = Study([o], {"argmax": seconds}, {} if trials is None else {"argmax": trials})
-    with pytest.raises(claims.NotMeasuredError, match="do not fit"):
+    with pytest.raises(claims.NotMeasuredError, match=r"timed trials.*argmax"):
         study.sample(o, "s")
 
 

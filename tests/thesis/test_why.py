@@ -185,7 +185,7 @@ def test_a_clipped_ratio_beside_the_plain_one_is_not_chosen_silently(make):
         [150] * 10, strategy="argmax", experiment="corrections", name="plain",
         config={"correction": {"_target_": "x.PerStep", "clip": None}},
     )  # fmt: skip
-    with pytest.raises(NotMeasuredError, match="several configurations of argmax"):
+    with pytest.raises(NotMeasuredError, match=r"configurations.*argmax"):
         Study([clipped, plain]).choices("corrections", "argmax", "correction")
 
 

@@ -181,7 +181,7 @@ def test_a_table_of_ones_own():
 
 
 def test_what_a_kernel_does_not_serve_is_a_clear_refusal():
-    with pytest.raises(LookupError, match="does not serve fickle_passenger=True"):
+    with pytest.raises(LookupError, match="fickle_passenger=True"):
         kernel_of(gym.make("Taxi-v4", fickle_passenger=True))
 
 
@@ -197,7 +197,7 @@ def test_initial_states_of_cartpole_are_uniform():
 
 
 def test_no_kernel_is_a_clear_refusal():
-    with pytest.raises(LookupError, match="no kernel is registered for PendulumEnv"):
+    with pytest.raises(LookupError, match=r"kernel.*PendulumEnv"):
         kernel_of(gym.make("Pendulum-v1"))
 
 
@@ -214,9 +214,9 @@ def test_closures_are_refused():
     def closing(parameters, state, action, rng):
         return gain, False
 
-    with pytest.raises(ValueError, match="closes over values"):
+    with pytest.raises(ValueError, match="closes over"):
         Kernel(reset, closing, observe, (), state_size=1, n_features=1, n_actions=2)
-    with pytest.raises(ValueError, match="is not compiled"):
+    with pytest.raises(ValueError, match="compiled"):
         Kernel(reset, lambda *_: (0.0, False), observe, (), 1, 1, 2)
 
 
