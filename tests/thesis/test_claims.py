@@ -428,7 +428,7 @@ def test_time_claims_show_frames_beside(builder):
 
 def test_seconds_find_their_trials(make):
     o = make([100, 1000, 300, 400], strategy="argmax", first_trial=10)
-    by_index = Study([o], {"argmax": [4.0, 1.0]}, {"argmax": [13, 11]})
+    by_index = Study([o], {"thesis/argmax": [4.0, 1.0]}, {"thesis/argmax": [13, 11]})
     s = by_index.sample(o, "s")
     assert s.values.tolist() == [4.0, 1.0]
     assert s.converged.tolist() == [True, False]
@@ -443,7 +443,7 @@ def test_seconds_find_their_trials(make):
 )
 def test_seconds_that_do_not_fit_are_not_measured(make, seconds, trials):
     o = make([100, 1000, 300, 400], strategy="argmax", first_trial=10)
-    study = Study([o], {"argmax": seconds}, {} if trials is None else {"argmax": trials})
+    study = Study([o], {"thesis/argmax": seconds}, {"thesis/argmax": trials} if trials else {})
     with pytest.raises(claims.NotMeasuredError, match=r"timed trials.*argmax"):
         study.sample(o, "s")
 

@@ -91,12 +91,12 @@ def verdict(study: Study, claim_id: str) -> str:
     return checked.finding.verdict
 
 
-def generators() -> list[np.random.Generator]:
-    return [np.random.default_rng(k) for k in range(len(why.CONCLUSIONS))]
+def reexamine(study: Study) -> list[why.Reexamined]:
+    return why.reexamine(study, np.random.default_rng(0), np.random.default_rng(1))
 
 
 def outcomes(study: Study) -> dict[str, str]:
-    found = why.reexamine(study, generators(), generators())
+    found = reexamine(study)
     return {r.claim.id: r.outcome for r in found}
 
 
@@ -161,10 +161,10 @@ def test_few_trials_leave_conclusions_open(world):
 
 
 def test_the_verdict_without_correction_is_that_of_uncorrected_trials_alone(world):
-    before = why.reexamine(world.study(), generators(), generators())
+    before = reexamine(world.study())
     for strategy in STRATEGIES:
         world.cells[strategy, "PerStep"] = times(101, 105)
-    after = why.reexamine(world.study(), generators(), generators())
+    after = reexamine(world.study())
     assert [r.plain for r in before] == [r.plain for r in after]
     assert [r.corrected for r in before] != [r.corrected for r in after]
 
