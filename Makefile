@@ -1,5 +1,5 @@
-# make thesis: build the environment, run the thesis's experiment, write the report.
-# make test:   lint, types and all tests.
+# make thesis: build the environment, run the thesis's experiments, write the report
+# make test:   run the linter, the type checker and all tests
 
 PYTHON ?= python3
 VENV := .venv
@@ -18,7 +18,7 @@ help:
 env: $(READY)
 
 $(READY): pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
+	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, but this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
@@ -40,11 +40,11 @@ lint: $(READY)
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
-# make bench:  measure the speed, write benchmarks/results.md
+# make bench:  measure the speed and write benchmarks/results.md
 bench: $(READY)
 	$(BIN)/python benchmarks/speed.py
 
-# make soak:   kill a sweep at random instants, KILLS times, and compare every file
+# make soak:   kill a sweep at random times, KILLS times, and compare every file
 soak: $(READY)
 	$(BIN)/python tests/soak/kill.py --kills $(KILLS) --seed $(SEED)
 

@@ -537,7 +537,7 @@ def test_help_and_configuration_without_torch(run_many, tmp_path):
         assert (process.returncode, complaints(process)) == (0, [])
         assert not process.torch
     for text in (
-        "python scripts/train.py -m",
+        "trl-explore train -m",
         "strategy: argmax, ",
         "experiment: baselines, ",
         "trials: 30",

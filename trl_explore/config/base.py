@@ -8,7 +8,9 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-CONF = Path(__file__).resolve().parents[2] / "conf"
+_PACKAGE = Path(__file__).resolve().parents[1]
+CONF = next(p for p in (_PACKAGE / "conf", _PACKAGE.parent / "conf") if p.is_dir())
+"""The configuration files: inside the package where it is installed, beside it in a checkout."""
 GROUPS = (
     "env", "policy", "strategy", "loss", "correction", "baseline", "optimizer", "collector",
 )  # fmt: skip
