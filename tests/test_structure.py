@@ -42,6 +42,7 @@ USERS = {
     "hydra": ("config", "commands"),
     "omegaconf": ("config", "commands"),
     "matplotlib": ("report",),
+    "jinja2": ("report",),
     f"{NAME}.thesis": ("thesis", "report"),
 }
 """The only parts of the package that may import each of these, anywhere in their modules."""

@@ -18,99 +18,54 @@ class StrategyName:
 
     Attributes:
         label: what it is called.
-        does: what it does, completing "label: ...".
         look: colour, marker and line in every figure; None: the figure chooses.
+        does: what it does, completing "label: ...".
 
     """
 
     label: str
+    look: tuple[str, str, str] | None
     does: str
-    look: tuple[str, str, str] | None = None
 
 
 STRATEGIES: Mapping[str, StrategyName] = {
-    "random": StrategyName(
-        "random",
-        "every action is drawn uniformly; nothing that was learned is used",
-        ("#6b7280", "s", "dots"),
-    ),
-    "argmax": StrategyName(
-        "argmax",
-        "always the action that the policy prefers; never explores",
-        ("#d55e00", "^", "dash-dot"),
-    ),
-    "epsilon_greedy": StrategyName(
-        "ε-greedy",
-        "with probability ε a random action, else the preferred one",
-        ("#0072b2", "o", "dashes"),
-    ),
-    "decaying_epsilon_greedy": StrategyName(
-        "decaying ε-greedy",
-        "the same, with an ε that shrinks in every iteration",
-        ("#009e73", "D", "long dashes"),
-    ),
-    "softmax": StrategyName(
-        "softmax",
-        "actions are drawn with the probabilities that the policy gives them",
-        ("#a8328c", "v", "solid"),
-    ),
-    "boltzmann": StrategyName(
-        "Boltzmann",
-        "softmax at a temperature that falls from iteration to iteration",
-        ("#7a1f3d", "v", "dashes"),
-    ),
-    "mixture": StrategyName(
-        "mixture",
-        "the preferred action, softmax and a random action, each with a share",
-        ("#c28100", "P", "dash-dot-dot"),
-    ),
-    "max_boltzmann": StrategyName(
-        "max-Boltzmann",
-        "with probability ε an action by softmax, else the preferred one",
-        ("#697fea", "X", "solid"),
-    ),
-    "epsilon_softmax": StrategyName(
-        "ε-softmax",
-        "with probability ε a random action, else one by softmax",
-        ("#3f93cc", "<", "dashes"),
-    ),
-    "epsilon_z_greedy": StrategyName(
-        "ε-z-greedy",
-        "ε-greedy whose random actions are repeated for a random time",
-        ("#3b2f8f", "h", "dash-dot"),
-    ),
-    "vdbe": StrategyName(
-        "VDBE",
-        "ε-greedy with an ε that follows how much the mean score still changes",
-        ("#2f9a9a", "p", "long dashes"),
-    ),
-    "count_bonus": StrategyName(
-        "count bonus",
-        "softmax that prefers what has been tried less often in a state",
-        ("#8c5b5b", ">", "dots"),
-    ),
-    "parameter_noise": StrategyName(
-        "parameter noise",
-        "softmax of a policy whose weights are perturbed once per episode",
-        ("#678c4d", "d", "dash-dot-dot"),
-    ),
-    "gaussian": StrategyName(
-        "Gaussian", "actions are drawn from the Gaussian that the policy gives"
-    ),
-    "epsilon_uniform": StrategyName(
-        "ε-uniform", "with probability ε any action of the box, else one by the Gaussian"
-    ),
-    "uniform_action": StrategyName(
-        "uniform action",
-        "any action of the box, drawn uniformly; nothing that was learned is used",
-    ),
-    "mean_action": StrategyName(
-        "mean action", "always the mean of the policy’s Gaussian; never explores"
-    ),
-    "epsilon_mean": StrategyName(
-        "ε-mean", "with probability ε any action of the box, else the mean"
-    ),
-}
+    "random": StrategyName("random", ("#6b7280", "s", "dots"),
+        "every action is drawn uniformly; nothing that was learned is used"),
+    "argmax": StrategyName("argmax", ("#d55e00", "^", "dash-dot"),
+        "always the action that the policy prefers; never explores"),
+    "epsilon_greedy": StrategyName("ε-greedy", ("#0072b2", "o", "dashes"),
+        "with probability ε a random action, else the preferred one"),
+    "decaying_epsilon_greedy": StrategyName("decaying ε-greedy", ("#009e73", "D", "long dashes"),
+        "the same, with an ε that shrinks in every iteration"),
+    "softmax": StrategyName("softmax", ("#a8328c", "v", "solid"),
+        "actions are drawn with the probabilities that the policy gives them"),
+    "boltzmann": StrategyName("Boltzmann", ("#7a1f3d", "v", "dashes"),
+        "softmax at a temperature that falls from iteration to iteration"),
+    "mixture": StrategyName("mixture", ("#c28100", "P", "dash-dot-dot"),
+        "the preferred action, softmax and a random action, each with a share"),
+    "max_boltzmann": StrategyName("max-Boltzmann", ("#697fea", "X", "solid"),
+        "with probability ε an action by softmax, else the preferred one"),
+    "epsilon_softmax": StrategyName("ε-softmax", ("#3f93cc", "<", "dashes"),
+        "with probability ε a random action, else one by softmax"),
+    "epsilon_z_greedy": StrategyName("ε-z-greedy", ("#3b2f8f", "h", "dash-dot"),
+        "ε-greedy whose random actions are repeated for a random time"),
+    "vdbe": StrategyName("VDBE", ("#2f9a9a", "p", "long dashes"),
+        "ε-greedy with an ε that follows how much the mean score still changes"),
+    "count_bonus": StrategyName("count bonus", ("#8c5b5b", ">", "dots"),
+        "softmax that prefers what has been tried less often in a state"),
+    "parameter_noise": StrategyName("parameter noise", ("#678c4d", "d", "dash-dot-dot"),
+        "softmax of a policy whose weights are perturbed once per episode"),
+    "gaussian": StrategyName("Gaussian", None,
+        "actions are drawn from the Gaussian that the policy gives"),
+    "epsilon_uniform": StrategyName("ε-uniform", None,
+        "with probability ε any action of the box, else one by the Gaussian"),
+    "uniform_action": StrategyName("uniform action", None,
+        "any action of the box, drawn uniformly; nothing that was learned is used"),
+    "mean_action": StrategyName("mean action", None,
+        "always the mean of the policy’s Gaussian; never explores"),
+    "epsilon_mean": StrategyName("ε-mean", None,
+        "with probability ε any action of the box, else the mean"),
+}  # fmt: skip
 """In the order of figures and tables: those of the thesis first."""
 
 OPTIONS: Mapping[str, Mapping[str, str]] = {
@@ -139,13 +94,9 @@ OPTIONS: Mapping[str, Mapping[str, str]] = {
 """Group -> class of an option -> its label; the first of a group is what the thesis did."""
 
 SYMBOLS: Mapping[str, str] = {
-    "epsilon": "ε",
-    "decay": "decay rate",
-    "temperature": "T",
-    "sigma": "σ",
-    "delta": "δ",
+    "epsilon": "ε", "decay": "decay rate", "temperature": "T", "sigma": "σ", "delta": "δ",
     "beta": "β",
-}
+}  # fmt: skip
 """Parameter of a strategy -> its symbol."""
 
 

@@ -202,7 +202,7 @@ def test_epsilon_curve_is_a_power(ax):
 def test_a_map_states_every_value_in_an_ink_that_stands_out(ax):
     values = np.array([[0.0, 50.0], [100.0, np.nan]])
     plane.plot_plane(ax, values, [0.0, 0.1], [0.5, 1.0], x="ε", y="T", scale=(0.0, 100.0),
-                     text=lambda v: f"{v:.0f}", marked=(0, 1))  # fmt: skip
+                     marked=(0, 1))  # fmt: skip
     assert texts(ax) == ["0", "50", "100"]
     assert [t.get_position() for t in ax.texts] == [(0, 0), (0, 1), (1, 0)]
     from matplotlib.colors import to_hex

@@ -106,7 +106,7 @@ def test_every_statement_of_the_thesis_is_shown_with_its_definition(made):
 def test_versions_seeds_commands_and_machine_are_told(made):
     provenance = made.html[made.html.index('id="provenance"') :]
     for fact in ("torch 2.13.0", "Linux x86_64", "1,000 iterations, 5,000 iterations",
-                 "python scripts/train.py strategy=softmax", "FusedCollector"):  # fmt: skip
+                 "trl-explore train strategy=softmax", "FusedCollector"):  # fmt: skip
         assert fact in provenance
     assert "output_dir" not in provenance
 

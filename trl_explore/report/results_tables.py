@@ -101,7 +101,7 @@ def jobs_table(evidence: Evidence) -> Table:
                         "environment": part.group.environment,
                         "collector": source.get("collector"),
                         "batch_seconds": _number(source.get("seconds")),
-                        "command": " ".join(("python scripts/train.py", *_shown(job.command))),
+                        "command": " ".join(("trl-explore train", *_shown(job.command))),
                     }
                 )
     unique = list({(r["experiment"], r["job"], str(r)): r for r in records}.values())

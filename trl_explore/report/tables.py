@@ -108,7 +108,8 @@ _LATEX = {
     "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     "<": r"\textless{}", ">": r"\textgreater{}", "ε": r"$\varepsilon$", "−": "$-$", "≥": r"$\geq$",
     "±": r"$\pm$", "∞": r"$\infty$", "§": r"\S{}", "½": r"$\frac12$", "–": "--", "×": r"$\times$",
-    "“": "``", "”": "''", "γ": r"$\gamma$", "\n": " ",
+    "“": "``", "”": "''", "γ": r"$\gamma$", "π": r"$\pi$", "μ": r"$\mu$",
+    "σ": r"$\sigma$", "δ": r"$\delta$", "β": r"$\beta$", "’": "'", "…": r"\dots{}", "\n": " ",
 }  # fmt: skip
 
 

@@ -176,17 +176,14 @@ def baseline_drastic(study: Study, rng: np.random.Generator) -> Finding:
     """mean(some baseline) < ½ mean(none), for every strategy."""
     parts = []
     for strategy in dict.fromkeys(o.strategy for o in study.experiment("baselines")):
+        called = strategy_label(strategy)
         found = {
-            name: study.sample(
-                o, "iterations", f"{strategy_label(strategy)} with {option_label('baseline', name)}"
-            )
+            name: study.sample(o, "iterations", f"{called} with {option_label('baseline', name)}")
             for name, o in study.choices("baselines", strategy, "baseline").items()
         }
         plain = found.pop("Constant", None)
         if plain is None or not found:
-            raise NotMeasuredError(
-                f"{strategy_label(strategy)} was not run both without and with a baseline"
-            )
+            raise NotMeasuredError(f"{called} was not run both without and with a baseline")
         over = f"over that of {plain.label}"
         parts.append(
             rules.any_of(

@@ -23,7 +23,7 @@ class Diagnostic:
         line: a value to compare with, drawn as a dashed line.
         may_be_log: draw it on a logarithmic axis where its values span much.
         from_zero: begin a linear axis at zero.
-        policy: π or μ: drawn together with the entry of the other policy.
+        policy: the policy that it describes, π or μ; both are drawn in one figure.
 
     """
 

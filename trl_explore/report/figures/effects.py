@@ -44,16 +44,7 @@ def height(block: int, place: int, options: int) -> float:
 def plot_effects(
     ax: Axes, dots: Sequence[Dot], blocks: Sequence[str], options: int, *, quantity: str
 ) -> None:
-    """Draw each estimate with its interval, block by block.
-
-    Args:
-        ax: empty axes.
-        dots: what to draw.
-        blocks: names of the blocks, from top to bottom.
-        options: places in a block.
-        quantity: name and unit of the horizontal axis.
-
-    """
+    """Draw each estimate with its interval, in named blocks of as many rows as options."""
     for dot in dots:
         y, e = height(dot.block, dot.place, options), dot.estimate
         if np.isfinite([e.low, e.high]).all():

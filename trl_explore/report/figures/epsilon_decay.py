@@ -26,16 +26,7 @@ def plot_epsilon(
     iterations: int,
     emphasised: float | None = None,
 ) -> None:
-    """Draw ε(i) = rate^i, the share of actions drawn at random, for several rates.
-
-    Args:
-        ax: empty axes.
-        rates: decay rates in [0, 1].
-        styles: one for each rate.
-        iterations: where the axis ends.
-        emphasised: the rate that is drawn thick.
-
-    """
+    """Draw ε(i) = rate^i, the share of actions drawn at random; the emphasised rate is thick."""
     i = np.arange(iterations + 1)
     every = max(1, iterations // MARKS)
     for k, (rate, style) in enumerate(zip(rates, styles, strict=True)):

@@ -39,13 +39,7 @@ def pair_label(row: Row) -> str:
 
 
 def plot_forest(ax: Axes, rows: Sequence[Row]) -> None:
-    """Draw each pair's difference with its interval; hollow where it may be chance.
-
-    Args:
-        ax: empty axes.
-        rows: pairs, from top to bottom.
-
-    """
+    """Draw each pair's difference with its interval; hollow where it may be chance."""
     for y, row in enumerate(rows):
         e = row.difference
         if np.isfinite([e.low, e.high]).all():

@@ -38,17 +38,7 @@ def plot_learning(
     others: Sequence[tuple[Curve, Style]] = (),
     threshold: float | None = None,
 ) -> None:
-    """Draw one learning curve with its band, and the means of the others thinly under it.
-
-    Args:
-        ax: empty axes.
-        curve: of the configuration.
-        style: its look.
-        title: of the panel.
-        others: further ones, for comparison by eye.
-        threshold: score above which a trial has passed.
-
-    """
+    """Draw one learning curve with its band, and the means of the others thinly under it."""
     for other, look in others:
         ax.plot(other.iterations, other.mean, color=look.color, lw=0.8, alpha=0.45, zorder=1)
     if curve.low is not None and curve.high is not None:

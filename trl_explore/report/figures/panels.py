@@ -34,10 +34,11 @@ DEPTH = 1e-6
 
 @dataclass(frozen=True)
 class Panel:
-    """The title of a panel, and the names of its configurations."""
+    """The title of a panel, the names of its configurations, and which quantity it shows."""
 
     title: str
     names: tuple[str, ...]
+    quantity: str = ""
 
 
 def panels_of(group: Group) -> list[Panel]:

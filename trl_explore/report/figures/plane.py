@@ -27,7 +27,6 @@ def plot_plane(
     x: str,
     y: str,
     scale: tuple[float, float],
-    text: Callable[[float], str],
     marked: tuple[int, int] | None = None,
 ) -> None:
     """Draw a map; light is good, whatever the theme of the page.
@@ -38,12 +37,11 @@ def plot_plane(
     Args:
         ax: empty axes.
         values: [len(xs), len(ys)]; nan: not measured.
-        xs: values of the parameter from left to right.
-        ys: values of the other, from bottom to top.
+        xs: values of the parameter ``x`` from left to right.
+        ys: values of the parameter ``y`` from bottom to top.
         x: name of the first parameter.
         y: name of the second.
         scale: the worst value, which is dark, and the best one.
-        text: how a value is written.
         marked: the cell with a frame.
 
     """
@@ -55,7 +53,9 @@ def plot_plane(
                 continue
             color = cell_color((value - worst) / (best - worst or 1.0))
             ax.add_patch(Rectangle((i - 0.5, j - 0.5), 1, 1, fc=color, ec=color, lw=0.3))
-            ax.text(i, j, text(value), ha="center", va="center", fontsize=8, color=ink_on(color))
+            ax.text(
+                i, j, f"{value:,.0f}", ha="center", va="center", fontsize=8, color=ink_on(color)
+            )
     if marked is not None:
         i, j = marked
         ink = ink_on(cell_color((float(values[i, j]) - worst) / (best - worst or 1.0)))
@@ -102,7 +102,7 @@ def _draw(
     ax = figure.subplots()
     plot_plane(
         ax, values, layout.xs, layout.ys, x=layout.x, y=layout.y, scale=scale,
-        text=lambda value: f"{value:,.0f}", marked=marked,
+        marked=marked,
     )  # fmt: skip
     ax.set_title(title, loc="left", color=INK)
     return figure

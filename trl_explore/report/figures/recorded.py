@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -89,25 +91,28 @@ def _kind(name: str, quantity: Diagnostic) -> Kind:
 
 DIAGNOSTIC_KINDS = tuple(_kind(name, q) for name, q in DIAGNOSTICS.items() if not q.policy)
 
-PAIR = {quantity.policy: name for name, quantity in DIAGNOSTICS.items() if quantity.policy}
-"""The entropies: policy -> quantity."""
-FIRST = DIAGNOSTICS[PAIR["π"]]
+ENTROPIES = tuple(name for name, quantity in DIAGNOSTICS.items() if quantity.policy)
+FIRST = DIAGNOSTICS[ENTROPIES[0]]
 
 
 def _draw_entropy(e: GroupEvidence) -> Figure:
     """The entropies of π (left) and μ (right), in pairs of panels."""
     group = e.group
-    curves = {policy: e.traces.diagnostics.get(name, {}) for policy, name in PAIR.items()}
     panels = [
-        Panel(f"{panel.title}: {policy}" if panel.title else policy, panel.names)
+        replace(
+            panel,
+            title=f"{panel.title}: {DIAGNOSTICS[name].policy}".removeprefix(": "),
+            quantity=name,
+        )
         for panel in panels_of(group)
-        for policy in PAIR
+        for name in ENTROPIES
     ]
-    limits = limits_of([c for found in curves.values() for c in found.values()])
+    found = {name: e.traces.diagnostics.get(name, {}) for name in ENTROPIES}
+    limits = limits_of([curve for curves in found.values() for curve in curves.values()])
 
     def draw(ax: Axes, panel: Panel) -> None:
-        found = curves[panel.title[-1]]
-        mine = [(found[n], group.styles[n]) for n in panel.names if n in found]
+        curves = found[panel.quantity]
+        mine = [(curves[n], group.styles[n]) for n in panel.names if n in curves]
         if mine:
             plot_curves(ax, mine, title=panel.title, limits=limits)
 
@@ -117,7 +122,7 @@ def _draw_entropy(e: GroupEvidence) -> Figure:
 ENTROPY = Kind(
     "entropy",
     FIRST.title,
-    lambda e: _recorded(PAIR["π"], e),
+    lambda e: _recorded(ENTROPIES[0], e),
     _draw_entropy,
     lambda e: f"{FIRST.caption}{HOW}",
     recorded=True,

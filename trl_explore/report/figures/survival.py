@@ -50,13 +50,7 @@ def plot_survival(
 ) -> None:
     """Draw Ŝ(t), the share of trials that have not converged by t, with pointwise bands.
 
-    Args:
-        ax: empty axes.
-        rows: configurations.
-        time: name and unit of the horizontal axis.
-        title: of the panel.
-        horizon: where the axis ends; None: at the last time of any row.
-
+    The axis of ``time`` ends at the horizon; without one, at the last time of any row.
     """
     end = horizon or max(float(row.curve.times[-1]) for row in rows)
     log = spans_much([row.durations for row in rows])
@@ -86,11 +80,7 @@ def plot_survival(
 def plot_numbers_at_risk(ax: Axes, rows: Sequence[Row], times: Sequence[float]) -> None:
     """Write how many trials are still at risk; the label of each row is the legend.
 
-    Args:
-        ax: empty axes that share the horizontal axis of the curves.
-        rows: configurations, from top to bottom.
-        times: the ticks of the curves, in their unit.
-
+    The axes share the horizontal axis of the curves, whose ticks are at ``times``.
     """
     ax.set_ylim(len(rows) - 0.5, -1.3)
     ax.set_axis_off()
