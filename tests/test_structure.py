@@ -19,6 +19,7 @@ PACKAGE = ROOT / NAME
 
 ROOMS = (
     "checks",
+    "names",
     "numerics",
     "statistics",
     "strategies",
