@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.envs import EnvBase
 
+from trl_explore.checks import settle
 from trl_explore.policies.initial import initial_weights
 from trl_explore.policies.policy import (
     LaneLinear,
@@ -24,6 +25,10 @@ class LinearPolicy(TensorDictModule):
     Reads "observation" [*batch, n_features] and "trial" [*batch] (the row of the parameters);
     writes "logits" [*batch, n_actions]. Nothing about exploration is in it.
 
+    Attributes:
+        linear_softmax: whether the logits are W s, so that the gradient of log π has a closed
+            formula. False in a class that overrides ``forward``, unless the class says otherwise.
+
     Args:
         env: the environment, whose specs give the sizes and whose batch size the trials.
         init: how W begins, a name of ``initial_weights``.
@@ -35,6 +40,11 @@ class LinearPolicy(TensorDictModule):
     """
 
     actions = "discrete"
+    linear_softmax: ClassVar[bool] = True
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        settle(cls, "linear_softmax", False, ["forward"])
 
     def __init__(
         self,

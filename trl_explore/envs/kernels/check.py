@@ -10,7 +10,7 @@ from gymnasium.spaces import Discrete, flatten
 from numpy.typing import NDArray
 
 from trl_explore.envs.kernels.kernel import Kernel, kernel_of
-from trl_explore.numerics.philox import STATE_SIZE, begin
+from trl_explore.numerics.compiled.philox import STATE_SIZE, begin
 from trl_explore.numerics.streams import Stream, generator, key
 
 

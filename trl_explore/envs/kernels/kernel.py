@@ -10,18 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import numba as nb
 import numpy as np
 from numba.extending import is_jitted
 
 Function = Any
 _NUMBER = (str, int, float, np.generic)
-
-kernel_function = nb.njit(nogil=True, error_model="numpy", forceinline=True)
-"""Decorator of a kernel's functions: compiled into the loop that calls them.
-
-Not kept on disk themselves: numba would not notice a change in another file. The loop is.
-"""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from trl_explore.checks import check_number
-from trl_explore.numerics.compiled import compiled
+from trl_explore.numerics.compiled.cache import compiled
 
 Parameters = Iterable[nn.Parameter] | Iterable[Mapping[str, Any]]
 """Parameters, or groups of them as torch's optimisers take them: {"params": [...], "lr": 1.0}."""
