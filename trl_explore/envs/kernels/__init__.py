@@ -53,8 +53,13 @@ What the functions are given and owe:
 """
 
 from trl_explore.envs.kernels import acrobot, cartpole, mountain_car, toy_text
-from trl_explore.envs.kernels.check import CompiledEnv, check_kernel
-from trl_explore.envs.kernels.kernel import Kernel, kernel_of, register_kernel
+from trl_explore.envs.kernels.kernel import (
+    CompiledEnv,
+    Kernel,
+    check_kernel,
+    kernel_of,
+    register_kernel,
+)
 from trl_explore.envs.kernels.toy_text import tabular
 from trl_explore.numerics.compiled.cache import kernel_function
 from trl_explore.numerics.compiled.philox import random

@@ -181,7 +181,7 @@ def test_an_environment_that_cannot_be_sent_is_one_clear_line(monkeypatch, child
 def test_no_process_outlives_the_main_one():
     """Not even one that is killed."""
     script = (
-        "from pathlib import Path; import os, time; from trl_explore.lanes import LaneVectorEnv\n"
+        "from pathlib import Path; import os, time; from trl_explore.envs import LaneVectorEnv\n"
         "lanes = LaneVectorEnv('CartPole-v1', 3, workers=3); lanes.reset()\n"
         "print(Path(f'/proc/self/task/{os.getpid()}/children').read_text(), flush=True)\n"
         "time.sleep(60)"
@@ -208,5 +208,5 @@ def running(pid: int) -> bool:
 
 def test_the_package_does_not_import_torch():
     """The processes are to start quickly."""
-    code = "import sys, trl_explore.envs.processes; sys.exit('torch' in sys.modules)"
+    code = "import sys, trl_explore.envs.copies; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
