@@ -21,10 +21,10 @@ from trl_explore.collectors.fused.scratch import Scratch, scratch
 from trl_explore.envs import make_env
 from trl_explore.envs.kernels import Kernel, kernel_of, register_kernel
 from trl_explore.envs.kernels import kernel as kernel_base
-from trl_explore.envs.kernels.kernel import kernel_function
-from trl_explore.numerics.philox import random
+from trl_explore.numerics.compiled.cache import kernel_function
+from trl_explore.numerics.compiled.philox import random
 from trl_explore.policies import LinearPolicy
-from trl_explore.strategies import Softmax, Strategy
+from trl_explore.strategies import MixtureStrategy, Softmax, Strategy
 
 
 class Outside(Strategy):
@@ -231,6 +231,18 @@ def test_a_strategy_that_does_more_than_its_mixture_is_refused():
         build(make_env(trials=2), Softmax(spec=OneHot(2)))
     with pytest.raises(NotCompilableError, match=r"one-hot.*renamed"):
         build(make_env(trials=2), Softmax(action_key="act"))
+
+
+@pytest.mark.parametrize("method", MixtureStrategy.REPLACED)
+def test_a_method_that_is_not_called_is_not_passed_over(method):
+    changed = type("Changed", (Softmax,), {method: getattr(Softmax, method)})
+    stated = type("Stated", (changed,), {"compilable": True})
+    mixin = type("Mixin", (), {method: getattr(Softmax, method)})
+    assert (Softmax.compilable, changed.compilable, stated.compilable) == (True, False, True)
+    assert not type("Mixed", (mixin, Softmax), {}).compilable
+    with pytest.raises(NotCompilableError, match="does not declare itself compilable"):
+        build(make_env(trials=2), changed())
+    build(make_env(trials=2), stated())
 
 
 def test_batches_of_an_iteration_have_memory_of_their_own():

@@ -21,7 +21,7 @@ from trl_explore.collectors.fused import collector as module
 from trl_explore.collectors.fused.networks import Network, arrays, compile_network, network_of
 from trl_explore.envs import make_env
 from trl_explore.envs.kernels import Kernel, kernel_function, register_kernel
-from trl_explore.numerics.philox import random
+from trl_explore.numerics.compiled.philox import random
 from trl_explore.policies import LinearPolicy, MLPPolicy, TabularPolicy
 from trl_explore.strategies import Argmax, EpsilonGreedy, MixtureStrategy, Softmax
 from trl_explore.strategies.mixture import Mixture

@@ -22,7 +22,7 @@ from trl_explore.jobs.checkpoint import Store, pack
 from trl_explore.jobs.resume import Saver, restore
 from trl_explore.jobs.signals import Interrupted, Interrupts
 from trl_explore.strategies import EpsilonGreedy, Softmax
-from trl_explore.training.optimizers import LaneAdam, torch_adam
+from trl_explore.training.optimizers import LaneAdam, torch_optimizer
 
 STRATEGIES = [CONF / "strategy" / f"{name}.yaml" for name in options("strategy", "discrete")]
 SMALL = {"max_iterations": 8, "score_window": 3, "score_threshold": 45.0, "max_steps": 60}
@@ -85,7 +85,7 @@ def test_every_strategy_goes_on(file, build, tmp_path):
     assert outcome(stopped) == outcome(straight)
 
 
-@pytest.mark.parametrize("optimizer", [LaneAdam, torch_adam])
+@pytest.mark.parametrize("optimizer", [LaneAdam, partial(torch_optimizer, name="Adam")])
 @pytest.mark.parametrize("collector", [TorchRLCollector, FusedCollector])
 @pytest.mark.parametrize("k", [1, 3])
 def test_every_optimiser_and_collector_goes_on(optimizer, collector, k, build, tmp_path):

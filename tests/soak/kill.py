@@ -39,7 +39,7 @@ SWEEPS = {
     ],
     "every iteration": [
         "trials=5", "max_iterations=60", "strategy=epsilon_greedy,softmax", "episodes_per_update=2",
-        "optimizer=torch_adam", "checkpoint_seconds=0",
+        "optimizer=torch", "optimizer.name=Adam", "checkpoint_seconds=0",
     ],
     "torchrl": [
         "trials=3", "max_iterations=12", "strategy=epsilon_z_greedy,parameter_noise",

@@ -15,7 +15,15 @@ from torchrl.data import (
     Unbounded,
 )
 
-from trl_explore.strategies import Strategy, inverse_cdf
+from trl_explore.strategies import (
+    VDBE,
+    CountBonus,
+    EpsilonZGreedy,
+    ParameterNoise,
+    Softmax,
+    Strategy,
+    inverse_cdf,
+)
 
 ALMOST_ONE = float(np.nextafter(1.0, 0.0))
 MU = torch.tensor([0.25, 0.0, 0.5, 0.25])
@@ -33,6 +41,26 @@ class Fixed(Strategy):
 
 def frames(n, **entries):
     return TensorDict({"logits": torch.zeros(n, 4), **entries}, [n])
+
+
+def test_what_a_strategy_does_is_declared_by_what_it_overrides():
+    class Learner(Fixed):
+        def step(self, data=None):
+            super().step(data)
+
+    class Preparer(Learner):
+        learns_from_data = False
+
+        def begin(self, active, episodes): ...
+
+    kinds = Fixed, Learner, Preparer
+    assert [kind.learns_from_data for kind in kinds] == [False, True, False]
+    assert [kind.per_episode for kind in kinds] == [False, False, True]
+    own = Softmax, VDBE, CountBonus, ParameterNoise
+    assert [kind.learns_from_data for kind in own] == [False, True, True, True]
+    assert [kind.per_episode for kind in own] == [False, False, False, True]
+    assert [kind.compilable for kind in own] == [True, True, False, True]
+    assert EpsilonZGreedy.per_episode
 
 
 # The inverse of the distribution function

@@ -21,8 +21,8 @@ from trl_explore.envs.kernels import (
 )
 from trl_explore.envs.kernels.cartpole import observe, reset
 from trl_explore.envs.kernels.kernel import _BUILDERS
-from trl_explore.numerics import philox
-from trl_explore.numerics.float32 import cos32, sin32
+from trl_explore.numerics.compiled import philox
+from trl_explore.numerics.compiled.elementary import cos32, sin32
 from trl_explore.numerics.streams import Stream, generator
 
 LAKE = {"desc": ["SFS", "HFG", "FFF"], "success_rate": 0.7, "reward_schedule": (5, -2, -0.1)}
@@ -226,7 +226,7 @@ def test_the_fingerprint_knows_every_file(tmp_path, monkeypatch):
     before = kernel.digest
     assert kernel_of(gym.make("CartPole-v1")).digest == before
     from trl_explore.envs.kernels import kernel as base
-    from trl_explore.numerics import philox
+    from trl_explore.numerics.compiled import philox
 
     original = base.Path.read_text
 

@@ -206,5 +206,5 @@ def running(pid: int) -> bool:
 
 def test_the_package_does_not_import_torch():
     """The processes are to start quickly."""
-    code = "import sys, trl_explore.envs.processes; sys.exit('torch' in sys.modules)"
+    code = "import sys, trl_explore.envs.copies; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
