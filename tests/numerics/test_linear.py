@@ -172,21 +172,6 @@ def test_a_lane_does_not_depend_on_its_neighbours(linear, n_out):
             assert torch.equal(one[0], gradient[lane])
 
 
-@pytest.mark.parametrize("n_out", [3, 16])
-def test_threads_change_nothing(n_out, monkeypatch):
-    monkeypatch.setattr("trl_explore.numerics.threads.MIN_FRAMES", 10)
-    x, weight, trial = problem(frames=400, trials=30, n_out=n_out, dtype=torch.float32)
-    trial, bias, results = trial.sort().values, torch.randn(30, n_out), []
-    for threads in (1, 3):
-        monkeypatch.setattr("trl_explore.numerics.threads._threads", threads)
-        inputs = [value.clone().requires_grad_() for value in (x, weight, bias)]
-        out = lane_linear(inputs[0], inputs[1], trial, inputs[2])
-        out.square().sum().backward()
-        results.append([out.detach(), *(value.grad for value in inputs)])
-    for one, three in zip(*results, strict=True):
-        assert torch.equal(one, three)
-
-
 # Compiled code that does not look reads, and on the way back writes, beside the arrays. Here they
 # are parts of larger ones, so that such code fails these tests and not the process.
 

@@ -139,23 +139,6 @@ def test_a_trial_does_not_depend_on_its_neighbours(n_actions):
         assert torch.equal(torch.autograd.grad(alone.sum(), own)[0][0], gradient[k])
 
 
-@pytest.mark.parametrize("threads", [2, 3, 7])
-@pytest.mark.parametrize("in_order", [True, False])
-@pytest.mark.parametrize("n_actions", [2, 3])
-def test_the_number_of_threads_does_not_matter(n_actions, in_order, threads, monkeypatch):
-    monkeypatch.setattr("trl_explore.numerics.threads.MIN_FRAMES", 1)
-    given = list(problem(frames=600, trials=9, n_actions=n_actions, dtype=torch.float32))
-    given[4] = given[4].sort().values if in_order else given[4]
-    expected = value_and_gradient(linear_softmax_score, *given)
-    monkeypatch.setattr("trl_explore.numerics.threads._threads", threads)
-    found = value_and_gradient(linear_softmax_score, *given)
-    assert torch.equal(found[0], expected[0])
-    assert torch.equal(found[1], expected[1])
-    given[2][-1] = 99
-    with pytest.raises(IndexError, match="an action is not in"):
-        linear_softmax_score(*given)
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("sparse", [True, False])
 def test_passing_over_zeros_changes_no_bit(sparse, dtype, monkeypatch):

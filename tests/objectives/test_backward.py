@@ -58,7 +58,7 @@ def world():
                     )
             strategy = Softmax(0.7)
             both = TensorDictSequential(target, strategy)
-            data = FusedCollector(env, both, episodes_per_update=2).collect()
+            data = FusedCollector(env, both, episodes_per_update=2).collect().frames
             made[id, policy] = env, target, strategy, data
         return made[id, policy]
 
@@ -260,18 +260,6 @@ def test_a_gradient_kept_stays_as_it_is(world):
     weight.grad = None
     loss.backward(data[: len(data) // 2])
     assert torch.equal(kept, copy)
-
-
-@pytest.mark.parametrize("threads", [2, 3, 7])
-@pytest.mark.parametrize("policy", ["linear", "mlp"])
-def test_the_number_of_threads_does_not_matter(threads, policy, world, monkeypatch):
-    monkeypatch.setattr("trl_explore.numerics.threads.MIN_FRAMES", 1)
-    loss, parameters, data = build(world, "CartPole-v1", policy)
-    expected = both_routes(loss, parameters, data)
-    monkeypatch.setattr("trl_explore.numerics.threads._threads", threads)
-    for route, before in zip(both_routes(loss, parameters, data), expected, strict=True):
-        for one, other in zip(route, before, strict=True):
-            assert torch.equal(one, other)
 
 
 def test_actions_out_of_range(world):

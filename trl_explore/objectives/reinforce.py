@@ -266,12 +266,6 @@ class ReinforceLoss(LossModule):
         out[mask] = flat
         return out
 
-    @property
-    def divisible(self) -> bool:
-        """Whether some trials' losses need no others' data; what learns in ``step`` needs all."""
-        learns = type(self.baseline).step is not Baseline.step
-        return not (self.trials is None or learns or type(self).step is not ReinforceLoss.step)
-
     def step(self, tensordict: TensorDictBase) -> None:
         """Let the baseline learn from an iteration's data: once, after the update."""
         if type(self.baseline).step is not Baseline.step:
