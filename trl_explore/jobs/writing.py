@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from torch import Tensor
 
-    from trl_explore.training.diagnostics import Diagnostics
-    from trl_explore.training.evaluation import Evaluator
     from trl_explore.training.record import Trials
 
 
@@ -69,8 +67,8 @@ def write_job(
     collector: str,
     seconds: float,
     episodes: bool = True,
-    evaluator: Evaluator | None = None,
-    diagnostics: Diagnostics | None = None,
+    evaluations: Mapping[str, NDArray[Any]] | None = None,
+    diagnostics: Mapping[str, NDArray[Any]] | None = None,
 ) -> None:
     """Write every file of a finished job.
 
@@ -84,17 +82,16 @@ def write_job(
         collector: name of the collector that was used.
         seconds: wall time of the training, without compilation.
         episodes: whether to write ``episodes.csv``.
-        evaluator: what was evaluated, for ``evaluations.csv``.
-        diagnostics: what was recorded beside the scores, for further columns of ``episodes.csv``.
+        evaluations: the columns of ``evaluations.csv``, if there is one.
+        diagnostics: further columns of ``episodes.csv``, an entry per iteration and active trial.
     """
     import torch
 
     _write_text(job / TRIALS, _trials_csv(trials, config))
     if episodes:
-        extra = {} if diagnostics is None else diagnostics.columns()
-        _write_text(job / EPISODES, _episodes_csv(trials, config["first_trial"], extra))
-    if evaluator is not None:
-        _write_text(job / EVALUATIONS, _evaluations_csv(evaluator.rows(), config["first_trial"]))
+        _write_text(job / EPISODES, _episodes_csv(trials, config["first_trial"], diagnostics or {}))
+    if evaluations is not None:
+        _write_text(job / EVALUATIONS, _evaluations_csv(evaluations, config["first_trial"]))
     _write_scalars(job, trials)
     _write_weights(job / WEIGHTS, weights)
     run = {
@@ -106,7 +103,7 @@ def write_job(
         "collector": collector,
         "seconds": seconds,
         "iterations": trials.iteration,
-        "threads": {"compiled": config.get("threads", 1), "torch": torch.get_num_threads()},
+        "threads": {"compiled": config["threads"], "torch": torch.get_num_threads()},
         "files": record(job),
         "config": config,
         "versions": versions(),
@@ -171,9 +168,7 @@ def _trials_csv(trials: Trials, config: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _episodes_csv(
-    trials: Trials, first_trial: int, extra: Mapping[str, NDArray[np.float32]]
-) -> str:
+def _episodes_csv(trials: Trials, first_trial: int, extra: Mapping[str, NDArray[Any]]) -> str:
     columns = trials.episodes()
     columns["trial"] = columns["trial"] + first_trial
     rows = zip(*(columns[name].tolist() for name in EPISODE_COLUMNS), strict=True)
