@@ -124,8 +124,8 @@ def test_the_files_of_a_job_agree_with_each_other(folder, strategy):
     job = job_of(folder, strategy)
     trials = pd.read_csv(job / "trials.csv")
     episodes = pd.read_csv(job / "episodes.csv")
-    assert tuple(trials) == TRIAL_COLUMNS
-    assert tuple(episodes) == EPISODE_COLUMNS
+    assert tuple(trials) == tuple(TRIAL_COLUMNS)
+    assert tuple(episodes) == tuple(EPISODE_COLUMNS)
     assert trials["trial"].tolist() == [0, 1, 2]
     assert (trials["seed"] == 0).all()
     assert trials["seconds"].between(0, 60, inclusive="neither").all()

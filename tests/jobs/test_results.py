@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import torch
 from safetensors.torch import load_file
 
 from trl_explore import jobs as results
-from trl_explore.jobs import writing
+from trl_explore.jobs import columns, writing
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.training.record import Trials
 
@@ -222,13 +223,13 @@ def test_clear_leaves_other_files_alone(job):
 def test_a_job_is_complete_or_absent(tmp_path, monkeypatch, point):
     """Whatever file an interruption hits, the folder does not count as a finished job."""
     job, calls = tmp_path / "job", []
-    write_whole, write_scalars = writing._write_whole, writing._write_scalars
+    write_whole, write_scalars = writing.write_whole, writing._write_scalars
 
-    def whole(path, fill):
+    def whole(path, data):
         calls.append(path.name)
         if len(calls) > point:
             raise KeyboardInterrupt
-        write_whole(path, fill)
+        write_whole(path, data)
 
     def scalars(folder, trials):
         calls.append("scalars")
@@ -236,7 +237,7 @@ def test_a_job_is_complete_or_absent(tmp_path, monkeypatch, point):
             raise KeyboardInterrupt
         write_scalars(folder, trials)
 
-    monkeypatch.setattr(writing, "_write_whole", whole)
+    monkeypatch.setattr(writing, "write_whole", whole)
     monkeypatch.setattr(writing, "_write_scalars", scalars)
     with pytest.raises(KeyboardInterrupt):
         write(job)
@@ -254,17 +255,17 @@ def test_a_job_is_complete_or_absent(tmp_path, monkeypatch, point):
     assert names(job) == FILES
 
 
-def test_a_file_appears_whole_or_not_at_all(tmp_path):
-    def break_off(temporary: Path) -> None:
-        temporary.write_text("half of ")
+def test_a_file_appears_whole_or_not_at_all(tmp_path, monkeypatch):
+    def break_off(file: int) -> None:
         assert not (tmp_path / "file").exists() or (tmp_path / "file").read_text() == "old"
         raise OSError("disk full")
 
+    monkeypatch.setattr(os, "fsync", break_off)
     for old in (None, "old"):
         if old:
             (tmp_path / "file").write_text(old)
         with pytest.raises(OSError, match="disk full"):
-            writing._write_whole(tmp_path / "file", break_off)
+            columns.write_whole(tmp_path / "file", b"half of")
         assert names(tmp_path) == ([] if old is None else ["file"])
     assert (tmp_path / "file").read_text() == "old"
 
@@ -391,10 +392,10 @@ def test_a_sweep_in_one_frame(tmp_path):
 
 
 def test_the_columns_are_those_of_the_documentation():
-    assert results.TRIAL_COLUMNS == (
+    assert tuple(results.TRIAL_COLUMNS) == (
         "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
     )  # fmt: skip
-    assert results.EPISODE_COLUMNS[:3] == ("trial", "iteration", "score")
+    assert tuple(results.EPISODE_COLUMNS)[:3] == ("trial", "iteration", "score")
 
 
 def test_weights_are_read_back(job):

@@ -10,7 +10,7 @@
 
 Beside the jobs, in the folder of their sweep:
 
-    timings.csv             seconds of single trials, each run by itself (scripts/time_trials.py)
+    timings.csv             seconds of single trials, each run by itself (``trl-explore time``)
 
 A folder holds a finished job exactly if it holds ``run.json``. Every file appears at once and
 whole. While a job is not finished, its folder also holds ``checkpoint/`` (see
@@ -26,8 +26,8 @@ from trl_explore.jobs.columns import (
     TRIALS,
     ResultsError,
 )
-from trl_explore.jobs.integrity import check_whole
 from trl_explore.jobs.reading import (
+    check_whole,
     find_folders,
     find_jobs,
     is_finished,

@@ -19,7 +19,6 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.checks import first_line
+from trl_explore.jobs.columns import write_whole
 
 FOLDER, SLOTS, HISTORY = "checkpoint", ("a.safetensors", "b.safetensors"), "history.bin"
 DIGEST = hashlib.sha256().digest_size
@@ -279,24 +279,3 @@ class Store:
         if seal != expected:
             raise DamagedError("its checksum is wrong")
         return parts
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file that appears at once and whole, also after a loss of power.
-
-    After a loss of power it may be the one that was there before: its folder is not synced.
-
-    Raises:
-        OSError: if it cannot be written; a file that was there before is as it was.
-    """
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise

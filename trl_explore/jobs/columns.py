@@ -1,17 +1,26 @@
-"""The names of the files of a job, and of their columns; no other module knows them."""
+"""The files of a job: their names, their columns, and how a column is written and read.
+
+A table is one line of names and lines of as many fields, each line ended. It is read strictly:
+nothing is quoted, skipped, guessed or filled in, so a cut or changed file is refused.
+"""
 
 from __future__ import annotations
 
+import os
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trl_explore.statistics.outcomes import STATUSES
+
 TRIALS, EPISODES, SCALARS = "trials.csv", "episodes.csv", "scalars"
+EVALUATIONS, TIMINGS = "evaluations.csv", "timings.csv"
 WEIGHTS, RUN = "weights.safetensors", "run.json"
-TRIAL_COLUMNS = (
-    "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
-)  # fmt: skip
-EPISODE_COLUMNS = ("trial", "iteration", "score", "frames")
-EVALUATIONS = "evaluations.csv"
-EVALUATION_COLUMNS = ("trial", "iteration", "score")
-TIMINGS = "timings.csv"
-TIMING_COLUMNS = ("experiment", "job", "trial", "seconds", "frames")
 RUN_KEYS = {
     "config": (dict,), "strategy": (str,), "experiment": (str,), "trials": (int,),
     "versions": (dict,), "seed": (int,), "collector": (str,), "seconds": (int, float),
@@ -26,3 +35,204 @@ PACKAGES = ("trl_explore", "torch", "torchrl", "tensordict", "gymnasium", "numpy
 
 class ResultsError(ValueError):
     """A folder that does not hold what it should; the message is one line."""
+
+
+INTEGER = re.compile(r"-?[0-9]{1,19}")
+NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+BOOLS = {"True": True, "False": False}
+
+Parser = Callable[[Sequence[str]], NDArray[Any]]
+
+
+def integers(texts: Sequence[str]) -> NDArray[np.int64]:
+    """Decimal integers of 64 bits [n]; a ValueError says what is none."""
+    _check(texts, INTEGER, "an integer")
+    try:
+        return np.array(list(map(int, texts)), dtype=np.int64)
+    except OverflowError:
+        raise ValueError("holds an integer of more than 64 bits") from None
+
+
+def numbers(texts: Sequence[str]) -> NDArray[np.float64]:
+    """Finite float64s [n]; a ValueError says what is none.
+
+    Example:
+        >>> numbers(["1", "2.5e-1"]).tolist()
+        [1.0, 0.25]
+        >>> numbers(["nan"])
+        Traceback (most recent call last):
+        ...
+        ValueError: holds 'nan', which is not a finite number
+    """
+    _check(texts, NUMBER, "a finite number")
+    values = np.array(list(map(float, texts)), dtype=np.float64)
+    if not np.isfinite(values).all():
+        raise ValueError("holds a number too large for float64")
+    return values
+
+
+def booleans(texts: Sequence[str]) -> NDArray[np.bool_]:
+    """``True`` and ``False`` [n]; a ValueError says what is neither."""
+    return np.array([BOOLS[t] for t in words(texts, BOOLS)], dtype=np.bool_)
+
+
+def words(texts: Sequence[str], allowed: Sequence[str] | Mapping[str, Any]) -> Sequence[str]:
+    """The texts, all of them among the allowed ones; a ValueError says which is not."""
+    for text in set(texts):
+        if text not in allowed:
+            raise ValueError(f"holds {_shown(text)}; allowed are {', '.join(allowed)}")
+    return texts
+
+
+def _check(texts: Sequence[str], pattern: re.Pattern[str], what: str) -> None:
+    if not all(map(pattern.fullmatch, texts)):
+        wrong = next(text for text in texts if not pattern.fullmatch(text))
+        raise ValueError(f"holds {_shown(wrong)}, which is not {what}")
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= 30 else f"{text[:27]}...")
+
+
+def statuses(texts: Sequence[str]) -> NDArray[np.str_]:
+    """How trials ended [n]; a ValueError says what is none of the ways."""
+    return np.array(words(texts, STATUSES), dtype=np.str_)
+
+
+class Column(NamedTuple):
+    """A column of a table.
+
+    Attributes:
+        read: texts [n] -> array [n]; raises ValueError saying what is wrong with them.
+        write: a Python scalar -> its text; that of a float is the shortest that reads back as it.
+    """
+
+    read: Parser
+    write: Callable[[Any], str] = str
+
+
+TRIAL_COLUMNS: dict[str, Column] = {
+    "trial": Column(integers),
+    "seed": Column(integers),
+    "iterations": Column(integers),
+    "converged": Column(booleans),
+    "score": Column(numbers),
+    "frames": Column(integers),
+    "seconds": Column(numbers, "{:.6f}".format),
+    "status": Column(statuses),
+}
+EPISODE_COLUMNS: dict[str, Column] = {
+    "trial": Column(integers),
+    "iteration": Column(integers),
+    "score": Column(numbers),
+    "frames": Column(integers),
+}
+EVALUATION_COLUMNS: dict[str, Column] = {
+    "trial": Column(integers),
+    "iteration": Column(integers),
+    "score": Column(numbers),
+}
+TIMING_COLUMNS = ("experiment", "job", "trial", "seconds", "frames")
+CURVE_COLUMNS = {"iteration": Column(integers), "value": Column(numbers)}
+"""Of a file in ``scalars/``, which has no line of names."""
+
+
+def table_text(columns: Mapping[str, Column], values: Mapping[str, NDArray[Any]]) -> str:
+    """The text of a table, from the values of each of its columns [rows].
+
+    Example:
+        >>> print(table_text({"trial": Column(integers)}, {"trial": np.arange(2)}), end="")
+        trial
+        0
+        1
+    """
+    fields = (map(column.write, values[name].tolist()) for name, column in columns.items())
+    return join_rows(columns, map(",".join, zip(*fields, strict=True)))
+
+
+def join_rows(names: Iterable[str], rows: Iterable[str]) -> str:
+    """The text of a table, from the texts of its rows."""
+    return "\n".join([",".join(names), *rows]) + "\n"
+
+
+def read_table(
+    path: Path, columns: Mapping[str, Column], *, header: bool = True
+) -> dict[str, NDArray[Any]]:
+    """Some columns of a table; the others are ignored.
+
+    Args:
+        path: the file.
+        columns: by name.
+        header: whether the first line names the columns; if not, they are those of ``columns``.
+
+    Raises:
+        ResultsError: if the file is missing, cut off, or not such a table.
+    """
+    rows = _fields(path)
+    names = rows.pop(0) if header else list(columns)
+    for number, fields in enumerate(rows, start=1 + header):
+        if len(fields) != len(names):
+            raise ResultsError(f"{path}: line {number} has {len(fields)} fields, not {len(names)}")
+    missing = [name for name in columns if name not in names]
+    if missing:
+        raise ResultsError(f"{path}: no column {', '.join(missing)}")
+    twice = [name for name in columns if names.count(name) > 1]
+    if twice:
+        raise ResultsError(f"{path}: the column {twice[0]} stands there twice")
+    texts = dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else {}
+    found = {}
+    for name, column in columns.items():
+        try:
+            found[name] = column.read(texts.get(name, ()))
+        except ValueError as error:
+            raise ResultsError(f"{path}: column {name} {error}") from None
+    return found
+
+
+def _fields(path: Path) -> list[list[str]]:
+    """The fields of every line."""
+    try:
+        text = path.read_bytes().decode()
+    except FileNotFoundError:
+        raise ResultsError(f"{path}: missing") from None
+    except OSError as error:
+        raise ResultsError(f"{path}: not readable ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise ResultsError(f"{path}: not readable as CSV (it is not UTF-8)") from None
+    if not text.endswith("\n"):
+        raise ResultsError(f"{path}: cut off, its last line has no end")
+    return [line.removesuffix("\r").split(",") for line in text[:-1].split("\n")]
+
+
+def write_whole(path: Path, data: bytes, tag: str = "") -> None:
+    """Write a file that appears at once and whole, also after a loss of power.
+
+    After a loss of power it may be the one that was there before: its folder is not synced.
+
+    Args:
+        path: the file.
+        data: its contents.
+        tag: begins the name of the temporary file, where several processes write the same one.
+
+    Raises:
+        OSError: with the name of the file, if it cannot be written; a file that was there before
+            is as it was.
+    """
+    temporary = path.with_name(f".{tag}{path.name[:200]}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise named(error, path) from None
+        raise
+
+
+def named(error: OSError, path: Path) -> OSError:
+    """The error with the name of the file: a full disk does not say what it has no room for."""
+    return error if error.errno is None else OSError(error.errno, error.strerror, str(path))

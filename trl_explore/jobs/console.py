@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable, Sequence
-from typing import TextIO
+from collections.abc import Collection, Iterable, Sequence
+from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.training.record import Trials
+
+if TYPE_CHECKING:
+    from trl_explore.training.record import Trials
 
 REFRESH = 0.2
 """Seconds between two refreshes of the live line."""
@@ -80,17 +82,21 @@ def table(jobs: Iterable[Outcomes]) -> str:
     "> cap" where fewer than half of the trials converged.
     """
     header = ("job", "trials", "converged", "median iterations", "mean score", "frames", "seconds")
-    rows = [header, *(_row(job) for job in jobs)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(header))]
-    lines = []
-    for row in rows:
-        first, *others = (
-            cell.ljust(w) if i == 0 else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        lines.append("  ".join([first, *others]).rstrip())
+    lines = text_table([header, *(_row(job) for job in jobs)], left={0})
     lines.insert(1, "-" * max(map(len, lines)))
     return "\n".join(lines)
+
+
+def text_table(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
+    """The lines of a table, its columns two spaces apart; those in ``left`` begin at the left."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if i in left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
 def warnings(jobs: Iterable[Outcomes]) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from trl_explore.checks import first_line
 from trl_explore.jobs.columns import (
     CONFIG_KEYS,
+    CURVE_COLUMNS,
     EPISODE_COLUMNS,
     EPISODES,
     RUN,
@@ -26,23 +27,12 @@ from trl_explore.jobs.columns import (
     TRIALS,
     WEIGHTS,
     ResultsError,
+    read_table,
 )
-from trl_explore.jobs.tables import Parser, booleans, integers, numbers, read_table, words
-from trl_explore.statistics.outcomes import STATUSES, Outcomes
+from trl_explore.statistics.outcomes import Outcomes
 
 if TYPE_CHECKING:
     import pandas as pd
-
-TRIAL_PARSERS: dict[str, Parser] = dict(
-    zip(
-        TRIAL_COLUMNS,
-        (
-            integers, integers, integers, booleans, numbers, integers, numbers,
-            lambda texts: np.array(words(texts, STATUSES), dtype=np.str_),
-        ),
-        strict=True,
-    )
-)  # fmt: skip
 
 
 def is_finished(job: Path) -> bool:
@@ -80,6 +70,29 @@ def _check_kinds(record: dict[str, Any], kinds: dict[str, tuple[type, ...]]) -> 
             raise TypeError(f"{key} is {str(value)[:30]!r}")
 
 
+def check_whole(job: Path, run: Mapping[str, Any]) -> None:
+    """Compare the files of a finished job with what ``run.json`` says of them: their lengths.
+
+    Args:
+        job: the folder.
+        run: the contents of ``run.json``; one without a record of the files passes.
+
+    Raises:
+        ResultsError: naming the first file that is missing or has another length.
+    """
+    files = run.get("files", {})
+    if not isinstance(files, Mapping):
+        raise ResultsError(f"{job}: run.json does not say which files there are")
+    for name, expected in files.items():
+        path = job / name
+        if not path.resolve().is_relative_to(job.resolve()) or not isinstance(expected, Mapping):
+            raise ResultsError(f"{job}: run.json names {name!r}, which is no file of a job")
+        if not path.is_file():
+            raise ResultsError(f"{path}: missing")
+        if (size := path.stat().st_size) != expected.get("bytes"):
+            raise ResultsError(f"{path}: damaged ({size} bytes, not {expected.get('bytes')})")
+
+
 def read_trials(job: Path) -> pd.DataFrame:
     """``trials.csv`` as a data frame, checked.
 
@@ -93,7 +106,7 @@ def read_trials(job: Path) -> pd.DataFrame:
 
 def _trials(job: Path) -> dict[str, NDArray[Any]]:
     """The columns of ``trials.csv``, each [n_trials]."""
-    columns = read_table(job / TRIALS, TRIAL_PARSERS)
+    columns = read_table(job / TRIALS, TRIAL_COLUMNS)
     if (columns["iterations"] < 1).any() or (columns["frames"] < 1).any():
         raise ResultsError(f"{job / TRIALS}: a trial without iterations or frames")
     if (np.diff(columns["trial"]) != 1).any():
@@ -181,7 +194,7 @@ def read_curves(job: Path) -> pd.DataFrame:
         raise ResultsError(f"{job / SCALARS}: no learning curves")
     curves = {}
     for file in files:
-        columns = read_table(file, {"iteration": integers, "value": numbers}, header=False)
+        columns = read_table(file, CURVE_COLUMNS, header=False)
         if not np.array_equal(columns["iteration"], np.arange(1, len(columns["value"]) + 1)):
             raise ResultsError(f"{file}: its iterations do not follow each other")
         curves[file.stem] = columns["value"]

@@ -14,9 +14,9 @@ from trl_explore.jobs.columns import (
     EVALUATIONS,
     TRIALS,
     ResultsError,
+    read_table,
 )
 from trl_explore.jobs.reading import read_episodes, read_run, read_trials
-from trl_explore.jobs.tables import Parser, integers, numbers, read_table
 from trl_explore.training.columns import DIAGNOSTIC_COLUMNS, DIAGNOSTICS
 
 if TYPE_CHECKING:
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 
 ROUNDING = 1e-4
 """By which single precision may pass a bound."""
-EVALUATION_PARSERS: dict[str, Parser] = dict(
-    zip(EVALUATION_COLUMNS, (integers, integers, numbers), strict=True)
-)
 
 
 def read_diagnostics(job: Path, episodes: pd.DataFrame | None = None) -> pd.DataFrame | None:
@@ -78,7 +75,7 @@ def read_evaluations(job: Path) -> dict[str, NDArray[Any]] | None:
     where = job / EVALUATIONS
     if not where.exists():
         return None
-    columns = read_table(where, EVALUATION_PARSERS)
+    columns = read_table(where, EVALUATION_COLUMNS)
     config, trials = read_run(job)["config"], read_trials(job)
     every, count = config.get("evaluate_every"), config.get("evaluate_episodes", 1)
     if not isinstance(every, int) or not isinstance(count, int) or every < 1 or count < 1:

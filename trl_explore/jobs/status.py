@@ -17,6 +17,7 @@ from typing import Any
 from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
 from trl_explore.jobs.checkpoint import SLOTS
 from trl_explore.jobs.columns import EPISODES, RUN, TRIALS, ResultsError
+from trl_explore.jobs.console import text_table
 from trl_explore.jobs.lock import NAME as LOCK
 from trl_explore.jobs.lock import is_locked
 from trl_explore.jobs.sweeps import MULTIRUN, SWEEP, read_asked, read_failures
@@ -209,14 +210,9 @@ def report(sweep: SweepStatus, *, everything: bool = False) -> str:
     shown = [
         job for job in sweep.jobs if everything or len(sweep.jobs) <= SHOWN or job.state != DONE
     ]
-    rows = [("job", "state", "iterations", "seconds", ""), *map(_row, shown)]
-    widths = [max(len(row[i]) for row in rows) for i in range(4)]
-    lines += [
-        f"  {name.ljust(widths[0])}  {state.ljust(widths[1])}  {iterations.rjust(widths[2])}  "
-        f"{seconds.rjust(widths[3])}  {reason}".rstrip()
-        for name, state, iterations, seconds, reason in rows
-        if shown
-    ]
+    if shown:
+        rows = [("job", "state", "iterations", "seconds", ""), *map(_row, shown)]
+        lines += [f"  {line}" for line in text_table(rows, left={0, 1, 4})]
     return "\n".join(lines)
 
 

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from trl_explore.jobs.columns import RUN
+from trl_explore.jobs.columns import RUN, write_whole
 
 SWEEP, FAILED, MULTIRUN = "sweep.json", ".failed", "multirun.yaml"
 
@@ -86,9 +86,5 @@ def read_failures(sweep: Path) -> dict[str, str]:
 
 
 def _write(path: Path, content: object) -> None:
-    temporary = path.with_name(f".{os.getpid()}.{path.name[:200]}.tmp")
-    try:
-        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    text = json.dumps(content, indent=1) + "\n"
+    write_whole(path, text.encode(), tag=f"{os.getpid()}.")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
 import shutil
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,8 +28,11 @@ from trl_explore.jobs.columns import (
     TRIAL_COLUMNS,
     TRIALS,
     WEIGHTS,
+    join_rows,
+    named,
+    table_text,
+    write_whole,
 )
-from trl_explore.jobs.integrity import record
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -89,9 +92,11 @@ def write_job(
 
     _write_text(job / TRIALS, _trials_csv(trials, config))
     if episodes:
-        _write_text(job / EPISODES, _episodes_csv(trials, config["first_trial"], diagnostics or {}))
+        extra = diagnostics or {}
+        _write_text(job / EPISODES, _episodes_csv(trials, config["first_trial"], extra))
     if evaluations is not None:
-        _write_text(job / EVALUATIONS, _evaluations_csv(evaluations, config["first_trial"]))
+        values = _from(config["first_trial"], evaluations)
+        _write_text(job / EVALUATIONS, table_text(EVALUATION_COLUMNS, values))
     _write_scalars(job, trials)
     _write_weights(job / WEIGHTS, weights)
     run = {
@@ -104,7 +109,7 @@ def write_job(
         "seconds": seconds,
         "iterations": trials.iteration,
         "threads": {"compiled": config["threads"], "torch": torch.get_num_threads()},
-        "files": record(job),
+        "files": _record(job),
         "config": config,
         "versions": versions(),
         "machine": {"system": platform.system(), "processor": platform.machine()},
@@ -113,27 +118,24 @@ def write_job(
     _write_text(job / RUN, json.dumps(run, indent=2) + "\n")
 
 
+def _record(job: Path) -> dict[str, dict[str, Any]]:
+    """Length in bytes and SHA-256 of every file that a job has written, for ``run.json``."""
+    names = (TRIALS, EPISODES, EVALUATIONS, WEIGHTS)
+    paths = [job / name for name in names] + sorted((job / SCALARS).glob("*.csv"))
+    return {
+        path.relative_to(job).as_posix(): {"bytes": path.stat().st_size, "sha256": _digest(path)}
+        for path in paths
+        if path.is_file()
+    }
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def _write_text(path: Path, text: str) -> None:
-    _write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def _write_whole(path: Path, write: Callable[[Path], Any]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, and move it there when it is whole."""
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        write(temporary)
-        _sync(temporary)
-        temporary.replace(path)
-    except OSError as error:
-        raise _of(path, error) from None
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-
-
-def _of(path: Path, error: OSError) -> OSError:
-    """The error with the name of the file: a full disk does not say what it has no room for."""
-    return error if error.errno is None else OSError(error.errno, error.strerror, str(path))
+    write_whole(path, text.encode())
 
 
 def _sync(path: Path) -> None:
@@ -145,47 +147,32 @@ def _sync(path: Path) -> None:
         os.close(place)
 
 
-def _number(value: float) -> str:
-    """The shortest text that reads back as the same float64."""
-    return repr(float(value))
-
-
 def _trials_csv(trials: Trials, config: Mapping[str, Any]) -> str:
-    lines = [",".join(TRIAL_COLUMNS)]
-    converged, status = trials.converged, trials.status
-    for k in range(len(trials)):
-        row = (
-            config["first_trial"] + k,
-            config["seed"],
-            trials.iterations[k],
-            converged[k],
-            _number(trials.score[k]),
-            trials.frames[k],
-            f"{trials.seconds[k]:.6f}",
-            status[k],
-        )
-        lines.append(",".join(map(str, row)))
-    return "\n".join(lines) + "\n"
+    values = {
+        "trial": config["first_trial"] + np.arange(len(trials)),
+        "seed": np.full(len(trials), config["seed"]),
+    }
+    others = {name: getattr(trials, name) for name in TRIAL_COLUMNS if name not in values}
+    return table_text(TRIAL_COLUMNS, {name: np.asarray(x) for name, x in (values | others).items()})
 
 
-def _episodes_csv(trials: Trials, first_trial: int, extra: Mapping[str, NDArray[Any]]) -> str:
-    columns = trials.episodes()
-    columns["trial"] = columns["trial"] + first_trial
-    rows = zip(*(columns[name].tolist() for name in EPISODE_COLUMNS), strict=True)
-    lines = [f"{trial},{iteration},{score},{frames}" for trial, iteration, score, frames in rows]
-    if extra:
-        # The quantities of an iteration stand beside each of its episodes.
-        repeats = len(lines) // len(next(iter(extra.values())))
-        texts = zip(*([str(x) for x in np.repeat(c, repeats)] for c in extra.values()), strict=True)
-        lines = [",".join([line, *more]) for line, more in zip(lines, texts, strict=True)]
-    return "\n".join([",".join([*EPISODE_COLUMNS, *extra]), *lines]) + "\n"
+def _episodes_csv(
+    trials: Trials, first_trial: int, extra: Mapping[str, NDArray[np.float32]]
+) -> str:
+    values = _from(first_trial, trials.episodes())
+    if not extra:
+        return table_text(EPISODE_COLUMNS, values)
+    # The quantities of an iteration stand beside each of its episodes, in single precision.
+    repeats = len(values["trial"]) // len(next(iter(extra.values())))
+    own = (map(column.write, values[name].tolist()) for name, column in EPISODE_COLUMNS.items())
+    more = (map(str, np.repeat(column, repeats)) for column in extra.values())
+    rows = map(",".join, zip(*own, *more, strict=True))
+    return join_rows([*EPISODE_COLUMNS, *extra], rows)
 
 
-def _evaluations_csv(columns: Mapping[str, NDArray[Any]], first_trial: int) -> str:
-    trial = (columns["trial"] + first_trial).tolist()
-    rows = zip(trial, columns["iteration"].tolist(), columns["score"].tolist(), strict=True)
-    lines = [f"{trial},{iteration},{score}" for trial, iteration, score in rows]
-    return "\n".join([",".join(EVALUATION_COLUMNS), *lines]) + "\n"
+def _from(first_trial: int, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The columns, with the trials counted from the first one of the job."""
+    return {**columns, "trial": columns["trial"] + first_trial}
 
 
 def _write_scalars(job: Path, trials: Trials) -> None:
@@ -202,7 +189,7 @@ def _write_scalars(job: Path, trials: Trials) -> None:
             _sync(file)
         (parent / "curves" / "scalars").replace(job / SCALARS)
     except OSError as error:
-        raise _of(job / SCALARS, error) from None
+        raise named(error, job / SCALARS) from None
     finally:
         shutil.rmtree(parent, ignore_errors=True)
 
@@ -211,7 +198,7 @@ def _write_weights(path: Path, weights: Mapping[str, Tensor]) -> None:
     from safetensors.torch import save
 
     tensors = {name: tensor.detach().contiguous() for name, tensor in weights.items()}
-    _write_whole(path, lambda temporary: temporary.write_bytes(save(tensors)))
+    write_whole(path, save(tensors))
 
 
 def write_timings(sweep: Path, timings: pd.DataFrame) -> None:
