@@ -25,12 +25,12 @@ $(READY): pyproject.toml constraints.txt
 	@touch $(READY)
 
 thesis: $(READY)
-	$(BIN)/python scripts/train.py experiment=thesis output_dir=$(OUT)
-	$(BIN)/python scripts/train.py experiment=epsilon_grid output_dir=$(OUT)
-	$(BIN)/python scripts/train.py experiment=decay_grid output_dir=$(OUT)
-	$(BIN)/python scripts/time_trials.py $(OUT)/thesis --trials 30
-	$(BIN)/python scripts/time_trials.py $(OUT)/decay_grid
-	$(BIN)/python scripts/report.py $(OUT)/thesis $(OUT)/epsilon_grid $(OUT)/decay_grid --out $(OUT)/report
+	$(BIN)/trl-explore train experiment=thesis output_dir=$(OUT)
+	$(BIN)/trl-explore train experiment=epsilon_grid output_dir=$(OUT)
+	$(BIN)/trl-explore train experiment=decay_grid output_dir=$(OUT)
+	$(BIN)/trl-explore time $(OUT)/thesis --trials 30
+	$(BIN)/trl-explore time $(OUT)/decay_grid
+	$(BIN)/trl-explore report $(OUT)/thesis $(OUT)/epsilon_grid $(OUT)/decay_grid --out $(OUT)/report
 
 lint: $(READY)
 	$(BIN)/ruff check .

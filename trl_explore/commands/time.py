@@ -38,7 +38,7 @@ ORDER_SEED = 0
 
 @dataclass(frozen=True)
 class Job:
-    """A finished job, and its configuration composed anew from ``conf/``."""
+    """A finished job, and its configuration composed again from ``conf/``."""
 
     folder: Path
     experiment: str
@@ -46,8 +46,12 @@ class Job:
     trials: pd.DataFrame
 
 
-def compose_job(folder: Path) -> Job:
-    """Compose the configuration of a job anew, from what was typed to start it.
+def compose_job(folder: Path, config_dir: Path | None = None) -> Job:
+    """Compose the configuration of a job again, from what was typed to start it.
+
+    Args:
+        folder: of the job.
+        config_dir: a folder of the user's with further files of the configuration.
 
     Raises:
         ConfigError: if that is not recorded, would construct something foreign, or gives another
@@ -67,7 +71,8 @@ def compose_job(folder: Path) -> Job:
         key = override.key_or_group
         if override.is_sweep_override() or key.startswith("hydra") or "_target_" in key:
             raise ConfigError(f"{recorded}: {override.input_line!r} is not run again")
-    composed = compose("train", overrides=overrides, return_hydra_config=True)
+    own = [f"hydra.searchpath=['{config_dir.resolve()}']"] if config_dir else []
+    composed = compose("train", overrides=[*overrides, *own], return_hydra_config=True)
     choices = dict(composed.hydra.runtime.choices)
     with open_dict(composed):
         del composed["hydra"]
@@ -75,7 +80,7 @@ def compose_job(folder: Path) -> Job:
     configuration.fill_threshold(composed)
     values = configuration.resolved(composed)
     for target in _targets(values):
-        if not _is_known(target):
+        if not _is_known(target, config_dir):
             raise ConfigError(f"{folder}: {target} is not of this program and is not run again")
     # Constructors may have got another name; that each trial is the same one is checked when run.
     changed = [d for d in configuration.differences(run["config"], values) if "._" not in d]
@@ -85,9 +90,10 @@ def compose_job(folder: Path) -> Job:
 
 
 @cache
-def _known() -> frozenset[str]:
-    """What the files of ``conf/`` construct; a folder of results names nothing else."""
-    files = [path for group in GROUPS for path in (CONF / group).glob("*.yaml")]
+def _known(config_dir: Path | None) -> frozenset[str]:
+    """What the files of ``conf/`` and the user's own construct; results name nothing else."""
+    folders = [CONF, *([config_dir] if config_dir else [])]
+    files = [path for f in folders for group in GROUPS for path in (f / group).glob("*.yaml")]
     return frozenset(
         str(target)
         for path in files
@@ -95,12 +101,12 @@ def _known() -> frozenset[str]:
     )
 
 
-def _is_known(target: Any) -> bool:
-    """Whether a recorded configuration may construct this: as ``conf/`` does, or a schedule."""
+def _is_known(target: Any, config_dir: Path | None = None) -> bool:
+    """Whether a recorded configuration may construct this: as those files do, or a schedule."""
     place, _, name = str(target).rpartition(".")
     kind = vars(schedules).get(name) if place == schedules.__name__ else None
     schedule = isinstance(kind, type) and issubclass(kind, schedules.Schedule)
-    return schedule or str(target) in _known()
+    return schedule or str(target) in _known(config_dir)
 
 
 def _targets(node: Any) -> list[Any]:
@@ -151,7 +157,7 @@ def time_all(jobs: list[Job], trials: int) -> pd.DataFrame:
     return pd.DataFrame([rows[i] for i in sorted(rows)], columns=list(results.TIMING_COLUMNS))
 
 
-def run(folders: list[Path], trials: int) -> None:
+def run(folders: list[Path], trials: int, config_dir: Path | None = None) -> None:
     """Time the jobs of every sweep below ``folders`` and write their timings."""
     import torch
 
@@ -161,7 +167,7 @@ def run(folders: list[Path], trials: int) -> None:
         raise ConfigError(f"{', '.join(map(str, folders))}: no finished job")
     configuration.register_resolvers()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        jobs = [compose_job(folder) for folder in found]
+        jobs = [compose_job(folder, config_dir) for folder in found]
     sweeps = dict.fromkeys(job.folder.parent for job in jobs)
     kept = {sweep: results.read_timings(sweep) for sweep in sweeps}
     timings = time_all(jobs, trials)
@@ -186,12 +192,17 @@ def main() -> int:
         "folders", nargs="+", type=Path, metavar="DIR", help="folder of a sweep or job"
     )
     parser.add_argument("--trials", type=int, default=10, help="per job (default: %(default)s)")
+    parser.add_argument(
+        "--config-dir", type=Path, metavar="DIR", help="the one that the jobs were trained with"
+    )
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.WARNING)
     try:
         if arguments.trials < 1:
             raise ConfigError(f"--trials {arguments.trials}: at least 1")
-        run(arguments.folders, arguments.trials)
+        if (own := arguments.config_dir) is not None and not own.is_dir():
+            raise ConfigError(f"--config-dir {own}: no such folder")
+        run(arguments.folders, arguments.trials, own)
     except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
         print(f"error: {configuration.describe(error)}", file=sys.stderr)
         return 1

@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
 from trl_explore import jobs as results
-from trl_explore.config import CONF, ConfigError, Ended
+from trl_explore.config import CONF, ConfigError
 from trl_explore.jobs import signals
 from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
 from trl_explore.jobs.checkpoint import Checkpoint, Store
@@ -37,9 +37,13 @@ TRACEBACK = "TRL_EXPLORE_TRACEBACK"
 """Set in the environment, also of other processes, where the user asked for whole tracebacks."""
 
 
-def run(config: DictConfig) -> Ended:
+def run(config: DictConfig) -> None:
     """One job of a sweep, or the only one; in a process of a launcher, if there is one."""
     folder = configuration.current_folder()
+    if configuration.is_repeated():
+        with suppress(OSError):
+            folder.rmdir()  # Hydra has made it
+        return
     if configuration.is_worker():
         begin_worker()
     try:
@@ -54,13 +58,14 @@ def run(config: DictConfig) -> Ended:
         line = configuration.describe(error)
         if not isinstance(error, EXPECTED):
             line = f"{type(error).__name__}: {line}"
-        other = isinstance(error, LockedError)  # who has it tells how it ends
-        return configuration.end_job(folder, line, record=not other)
+        other = isinstance(error, LockedError)  # the process that has it tells how it ends
+        configuration.end_job(folder, line, record=not other)
     except KeyboardInterrupt as error:
         if not configuration.is_worker():
             raise
-        return configuration.end_job(folder, str(error) or "interrupted", record=False)
-    return configuration.end_job(folder)
+        configuration.end_job(folder, str(error) or "interrupted", record=False)
+    else:
+        configuration.end_job(folder)
 
 
 def begin_worker() -> None:
@@ -137,12 +142,10 @@ def train_from(
 
     from trl_explore.jobs.console import Progress
     from trl_explore.jobs.resume import Saver, restore
-    from trl_explore.numerics.threads import set_threads
 
     choices = configuration.current_choices()
     trainer = configuration.build_trainer(config)
     torch.set_num_threads(1)
-    set_threads(config.threads)
     if checkpoint is not None:
         restore(trainer, checkpoint)
     header = {"config": values, "versions": results.versions()}
@@ -219,8 +222,8 @@ def sweep() -> int:
     """All jobs of the command; returns the exit status."""
     try:
         signals.raise_on_signals()
-        with configuration.collecting() as jobs:
-            hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")(run)()
+        start = hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
+        jobs = configuration.collect(start(run))
         signals.check()
         finished = [job.folder for job in jobs if not job.error]
         failed = [job for job in jobs if job.error]

@@ -120,12 +120,8 @@ def _why(
 ) -> tuple[list[why.Reexamined], list[Checked]]:
     if not any(experiment(o.experiment).why for o in study.outcomes):
         return [], []
-    names = [claim.id for claim in why.CONCLUSIONS]
-    plain, corrected = (
-        list(streams(rngs[f"why: {which}"], names).values())
-        for which in ("uncorrected", "corrected")
-    )
-    return why.reexamine(study, plain, corrected), check_claims(study, rngs["why"], why.CLAIMS)
+    twice = why.reexamine(study, rngs["why: uncorrected"], rngs["why: corrected"])
+    return twice, check_claims(study, rngs["why"], why.CLAIMS)
 
 
 def _group_evidence(

@@ -10,4 +10,8 @@
 ``comparisons``  difference of two means; two configurations; all pairs with Holm's correction
 ``power``        how many trials a difference needs
 ``choices``      which correction, baseline or policy, and what readers call it
+
+In all of them ``rng`` is the source of the resampling, ``level`` the confidence level of every
+interval, and ``resamples`` the number of resamples of each bootstrap and of each test. ValueError
+is raised for a level outside (0, 1) and for samples that are empty or of unequal lengths.
 """

@@ -34,6 +34,9 @@ def bootstrap(
     The quantiles are rounded outwards to order statistics, so that infinite resamples (no
     trial converged) stay infinite instead of becoming NaN.
 
+    Bounds are NaN where a sample has fewer than two trials or a resample has no defined statistic.
+    A sample without variance gives an interval without width.
+
     Args:
         statistic: takes the samples with trials in the last axis, reduces that axis.
         samples: arrays [n_i].
@@ -41,11 +44,6 @@ def bootstrap(
         paired: draw the same trials from every sample (all n_i equal).
         level: confidence level.
         resamples: B.
-
-    Returns:
-        The statistic with its interval, in the unit of the statistic. Bounds are NaN where a
-        sample has fewer than two trials or a resample has no defined statistic. A sample
-        without variance gives an interval without width.
 
     Raises:
         ValueError: no sample, an empty one, unequal lengths with ``paired``, B < 1.

@@ -29,7 +29,6 @@ class MeanDifference:
     Attributes:
         estimate: the difference with its bootstrap interval.
         p_value: two-sided; sign flips where paired, else permuted labels.
-        paired: whether x_i and y_i are a pair.
         n: number of pairs; where unpaired, the smaller of both numbers.
         sd: standard deviation of one pair's difference; where unpaired √(s_x² + s_y²), so that
             in both designs the standard error with n trials each is about sd / √n.
@@ -41,7 +40,6 @@ class MeanDifference:
 
     estimate: Estimate
     p_value: float
-    paired: bool
     n: int
     sd: float
     correlation: float
@@ -69,16 +67,8 @@ def mean_difference(
     """Δ̂ = mean(x) - mean(y) with percentile bootstrap interval and permutation p-value.
 
     Paired: trials are resampled as pairs and the signs of x_i - y_i flipped. Unpaired: each
-    sample is resampled by itself and the labels permuted.
-
-    Args:
-        x: [n_x].
-        y: [n_y], n_y = n_x where paired.
-        rng: source of both procedures.
-        paired: the design.
-        level: confidence level.
-        resamples: of the bootstrap and of the test, each.
-        tail: of the test, see :func:`sign_flip_test`.
+    sample is resampled by itself and the labels permuted. ``tail`` is that of the test, see
+    :func:`sign_flip_test`.
 
     Raises:
         ValueError: an empty sample, values that are not finite, unequal lengths where paired.
@@ -92,29 +82,23 @@ def mean_difference(
     """
     a, b = two_samples(x, y)
     if not paired:
-        estimate = bootstrap(_difference, [a, b], rng, level=level, resamples=resamples)
+        estimate = bootstrap(
+            lambda a, b: mean(a) - mean(b), [a, b], rng, level=level, resamples=resamples
+        )
         p = label_permutation_test(a, b, rng, resamples=resamples, tail=tail)
         n = min(len(a), len(b))
         sd = float(np.sqrt(a.var(ddof=1) + b.var(ddof=1))) if n > 1 else np.nan
-        return MeanDifference(estimate, p, False, n, sd, np.nan, np.nan)
+        return MeanDifference(estimate, p, n, sd, np.nan, np.nan)
     if len(a) != len(b):
         raise ValueError(f"{len(a)} and {len(b)} values: pairs need the same number")
-    d = a - b
+    d, n = a - b, len(a)
     estimate = bootstrap(mean, [d], rng, level=level, resamples=resamples)
     p = sign_flip_test(d, rng, resamples=resamples, tail=tail)
-    if len(d) < 2:
-        return MeanDifference(estimate, p, True, len(d), np.nan, np.nan, np.nan)
-    separate = a.var(ddof=1) + b.var(ddof=1)
-    varies = a.min() < a.max() and b.min() < b.max()
-    return MeanDifference(
-        estimate,
-        p,
-        True,
-        len(d),
-        sd=float(d.std(ddof=1)),
-        correlation=float(np.corrcoef(a, b)[0, 1]) if varies else np.nan,
-        variance_ratio=float(d.var(ddof=1) / separate) if varies else np.nan,
-    )
+    sd = float(d.std(ddof=1)) if n > 1 else np.nan
+    if a.min() == a.max() or b.min() == b.max():
+        return MeanDifference(estimate, p, n, sd, np.nan, np.nan)
+    ratio = d.var(ddof=1) / (a.var(ddof=1) + b.var(ddof=1))
+    return MeanDifference(estimate, p, n, sd, float(np.corrcoef(a, b)[0, 1]), float(ratio))
 
 
 @dataclass(frozen=True)
@@ -183,14 +167,6 @@ def compare(
     """Compare the times to convergence of two configurations on the trials both have.
 
     Δ = E[min(T_a, cap)] - E[min(T_b, cap)]   (difference of restricted means)
-
-    Args:
-        a: first configuration [n_a].
-        b: second configuration [n_b].
-        rng: source of bootstrap and permutations.
-        level: confidence level.
-        resamples: of the bootstrap and of the test, each.
-        tail: of the test, see :func:`sign_flip_test`.
 
     Raises:
         ValueError: different cap, threshold or window; the same trials of the same
@@ -300,7 +276,3 @@ def _sign(difference: Estimate, p_value: float) -> int:
     if not p_value <= 1.0 - difference.level + 1e-12:
         return 0
     return int(difference.above(0.0)) - int(difference.below(0.0))
-
-
-def _difference(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return x.mean(axis=-1) - y.mean(axis=-1)

@@ -69,16 +69,8 @@ def pass_rate(successes: float, trials: int, *, level: float = LEVEL) -> Estimat
     (p̂ + z²/2n ± z √(p̂(1-p̂)/n + z²/4n²)) / (1 + z²/n),  z = Φ⁻¹((1 + level) / 2)
 
     The set of p that the score test does not reject; unlike p̂ ± z·se it stays in [0, 1] and
-    has a width also at k = 0 and k = n.
-
-    Args:
-        successes: k, the number of trials that passed. A tie may count half, which
-            ``scipy.stats.binomtest`` refuses.
-        trials: n.
-        level: confidence level.
-
-    Returns:
-        Proportion in [0, 1] with its interval.
+    has a width also at k = 0 and k = n. A tie may count half, which ``scipy.stats.binomtest``
+    refuses.
 
     Raises:
         ValueError: n < 1, or k outside 0..n.

@@ -52,12 +52,7 @@ def configuration_key(outcomes: Outcomes) -> str:
 
 
 def trial_keys(outcomes: Outcomes) -> list[tuple[int, int]]:
-    """(seed, trial) of every trial, in order.
-
-    Raises:
-        ValueError: the same (seed, trial) occurs twice.
-
-    """
+    """(seed, trial) of every trial, in order; ValueError where one occurs twice."""
     keys = list(zip(outcomes.seed.tolist(), outcomes.trial.tolist(), strict=True))
     if len(set(keys)) < len(keys):
         twice = next(key for i, key in enumerate(keys) if key in keys[:i])

@@ -40,9 +40,6 @@ def sign_flip_test(
         tail: return that bound where no draw hits and it is smaller. The test stays valid: the
             exact p is below the bound, and nothing changes at levels from 1 / (1 + resamples) up.
 
-    Returns:
-        p in (0, 1]; 1 when every difference is zero.
-
     Raises:
         ValueError: no pair, or a difference that is not finite.
 
@@ -85,17 +82,7 @@ def label_permutation_test(
     Exact by enumeration where the number of relabellings is at most ``resamples``; otherwise
     Monte Carlo as in :func:`sign_flip_test`. For independent trials; pairs need the sign flips.
     Hoeffding's bound is here p ≤ 2 exp(-2 (Σ x_i - n_x m)² / n (max - min)²), m the mean and
-    max - min the range of all values, n the smaller of n_x and n_y.
-
-    Args:
-        x: first sample [n_x].
-        y: second sample [n_y].
-        rng: source of the relabellings (unused where the test is exact).
-        resamples: number of random relabellings.
-        tail: as in :func:`sign_flip_test`.
-
-    Returns:
-        p in (0, 1]; 1 when all values are equal.
+    max - min the range of all values, n the smaller of n_x and n_y. ``tail`` is as there.
 
     Raises:
         ValueError: an empty sample, or a value that is not finite.
@@ -128,12 +115,7 @@ def label_permutation_test(
 
 
 def two_samples(x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two samples [n_x], [n_y] as arrays.
-
-    Raises:
-        ValueError: an empty sample, or a value that is not finite.
-
-    """
+    """Two samples [n_x], [n_y] as arrays; ValueError if one is empty or not finite."""
     a, b = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if min(a.size, b.size) == 0 or not (np.isfinite(a).all() and np.isfinite(b).all()):
         raise ValueError(f"samples of {a.size} and {b.size}: each needs one value, all finite")

@@ -33,8 +33,7 @@ class ScoreSummary:
         mean: mean with bootstrap interval.
         iqm: interquartile mean with bootstrap interval.
         sd: standard deviation (n - 1); NaN for one trial.
-        levels: probabilities of the quantiles [k].
-        quantiles: quantiles, linear interpolation [k].
+        quantiles: at the probabilities ``QUANTILES``, linear interpolation [5].
 
     """
 
@@ -43,18 +42,11 @@ class ScoreSummary:
     mean: Estimate
     iqm: Estimate
     sd: float
-    levels: NDArray[np.float64]
     quantiles: NDArray[np.float64]
 
 
 def interquartile_mean(scores: ArrayLike) -> Any:
     """Mean of the middle half: ⌊n/4⌋ values are cut from each end of the last axis.
-
-    Args:
-        scores: [..., n].
-
-    Returns:
-        [...], in units of score.
 
     Source: Agarwal et al., Deep RL at the Edge of the Statistical Precipice (2021), §4.3.
 
@@ -72,36 +64,24 @@ def summarise_scores(
     level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> ScoreSummary:
-    """Mean, interquartile mean and quantiles of the final score, with bootstrap intervals.
-
-    Args:
-        scores: final score per trial [n]; NaN where a trial has none.
-        rng: source of the resampling.
-        level: confidence level.
-        resamples: number of bootstrap resamples.
-
-    Returns:
-        The summary; all NaN where no trial has a score.
+    """Mean, interquartile mean and quantiles of the final scores [n], NaN where a trial has none.
 
     >>> summarise_scores([1.0, 2.0, 3.0, 4.0], np.random.default_rng(0)).iqm.value
     2.5
-
     """
     values = np.asarray(scores, dtype=np.float64)
     finite = values[np.isfinite(values)]
     missing = len(values) - len(finite)
-    levels = np.array(QUANTILES)
     if len(finite) == 0:
         nothing = Estimate(np.nan, np.nan, np.nan, level)
-        return ScoreSummary(0, missing, nothing, nothing, np.nan, levels, np.full(5, np.nan))
+        return ScoreSummary(0, missing, nothing, nothing, np.nan, np.full(5, np.nan))
     return ScoreSummary(
         n=len(finite),
         missing=missing,
         mean=bootstrap(mean, [finite], rng, level=level, resamples=resamples),
         iqm=bootstrap(interquartile_mean, [finite], rng, level=level, resamples=resamples),
         sd=float(finite.std(ddof=1)) if len(finite) > 1 else np.nan,
-        levels=levels,
-        quantiles=np.quantile(finite, levels),
+        quantiles=np.quantile(finite, QUANTILES),
     )
 
 
@@ -159,7 +139,7 @@ class Summary:
         }  # fmt: skip
         row |= {"score_mean": self.score.mean, "score_iqm": self.score.iqm}
         row |= {"frames_median": self.frames_median, "frames_mean": self.frames_mean}
-        for p, q in zip(self.score.levels, self.score.quantiles, strict=True):
+        for p, q in zip(QUANTILES, self.score.quantiles, strict=True):
             row[f"score_q{round(100 * p):02d}"] = float(q)
         return flat(row) | {"frames_total": self.frames_total}
 
@@ -172,12 +152,6 @@ def summarise(
     resamples: int = RESAMPLES,
 ) -> Summary:
     """All statistics of one configuration; each is defined where it is computed.
-
-    Args:
-        outcomes: the configuration [n_trials].
-        rng: source of the bootstraps.
-        level: confidence level of every interval.
-        resamples: of every bootstrap.
 
     Raises:
         ValueError: no trials, or an unfinished job (see ``convergence_times``).

@@ -2,6 +2,9 @@
 
 Kaplan-Meier curve, median, restricted mean, expected running time; of two samples, the log-rank
 test and the probability that one is faster.
+
+A sample is ``durations`` [n], the times to convergence or censoring, positive and in any unit, and
+``converged`` [n], whether the trial converged.
 """
 
 from __future__ import annotations
@@ -72,11 +75,6 @@ def kaplan_meier(
     undefined; Wilson's interval with all n trials stands there, so that "none of 3 converged"
     is not shown as certainty.
 
-    Args:
-        durations: time to convergence or censoring [n], > 0, any unit.
-        converged: whether the trial converged [n].
-        level: confidence level.
-
     Raises:
         ValueError: no trial, unequal lengths, or a duration that is not positive and finite.
 
@@ -111,18 +109,10 @@ def kaplan_meier(
 
 
 def number_at_risk(durations: ArrayLike, times: ArrayLike) -> NDArray[np.int64]:
-    """n(t) = #{trials with duration ≥ t}: neither converged nor censored before t.
-
-    Args:
-        durations: [n].
-        times: [m], same unit.
-
-    Returns:
-        counts [m].
+    """n(t) = #{trials with duration ≥ t}, neither converged nor censored before the times t [m].
 
     >>> number_at_risk([5, 7, 7], [0, 5, 6, 8])
     array([3, 3, 2, 0])
-
     """
     t = np.sort(np.asarray(durations, dtype=np.float64))
     before = np.searchsorted(t, np.asarray(times, dtype=np.float64), side="left")
@@ -132,13 +122,8 @@ def number_at_risk(durations: ArrayLike, times: ArrayLike) -> NDArray[np.int64]:
 def median_time(curve: SurvivalCurve) -> Estimate:
     """Median of T: the first t with Ŝ(t) ≤ ½; its interval, the t whose own interval has ½.
 
-    Args:
-        curve: from :func:`kaplan_meier`.
-
-    Returns:
-        In the unit of the curve; ``inf`` where the curve, or a bound of it, never comes down
-        to one half ("not reached"); a lower bound of 0 where even Ŝ = 1 is compatible with ½
-        (three trials or fewer).
+    ``inf`` ("not reached") where the curve, or a bound of it, never comes down to one half. The
+    lower bound is 0 where even Ŝ = 1 is compatible with ½ (three trials or fewer).
 
     Source: Brookmeyer & Crowley, Biometrics 38 (1982).
 
@@ -161,19 +146,11 @@ def restricted_mean(
     μ̂ = ∫₀^τ Ŝ(t) dt,   Var μ̂ = n/(n-1) Σ_i (∫_{t_i}^τ Ŝ)² d_i / (n_i (n_i - d_i))
 
     Where trials are censored at τ only, as a cap does it, these are exactly the mean and
-    s/√n of min(T, τ).
-
-    Args:
-        durations: [n].
-        converged: [n].
-        horizon: τ, the cap, in the same unit.
-
-    Returns:
-        (μ̂, standard error), unit of the durations; the error of a single trial is NaN.
+    s/√n of min(T, τ). The error of a single trial is NaN.
 
     Raises:
-        ValueError: as :func:`kaplan_meier`; a τ that is not positive, or beyond the last
-            duration while trials were censored there (Ŝ is unknown from there on).
+        ValueError: as :func:`kaplan_meier`; a ``horizon`` τ that is not positive, or beyond the
+            last duration while trials were censored there (Ŝ is unknown from there on).
 
     Source: Royston & Parmar, BMC Medical Research Methodology 13 (2013).
 
@@ -212,18 +189,9 @@ def expected_running_time(
 
     ERT = Σ_i duration_i / #{converged}, over all trials, failed ones with their whole cap
 
-    Args:
-        durations: [n].
-        converged: [n].
-        rng: source of the bootstrap over trials.
-        level: confidence level.
-        resamples: number of bootstrap resamples.
-
-    Returns:
-        In the unit of the durations; ``inf`` where none converged, and as upper bound where
-        too many resamples contain no converged trial. Where none converged resampling cannot
-        see a finite time, and the lower bound is mean duration / Wilson's upper bound of the
-        pass rate. One trial has NaN bounds.
+    With bootstrap interval over trials: ``inf`` where none converged, and as upper bound where too
+    many resamples contain no converged trial. Where none converged resampling cannot see a finite
+    time, and the lower bound is mean duration / Wilson's upper bound of the pass rate.
 
     Raises:
         ValueError: as :func:`kaplan_meier`.
@@ -238,13 +206,12 @@ def expected_running_time(
     if not e.any() and len(t) > 1:
         least = float(t.mean() / pass_rate(0, len(t), level=level).high)
         return Estimate(np.inf, least, np.inf, level)
-    return bootstrap(_ert, [t, e], rng, paired=True, level=level, resamples=resamples)
 
+    def ratio(t: NDArray[np.float64], e: NDArray[np.bool_]) -> Any:
+        with np.errstate(divide="ignore"):
+            return t.sum(axis=-1) / e.sum(axis=-1)
 
-def _ert(t: NDArray[np.float64], e: NDArray[np.bool_]) -> Any:
-    successes = e.sum(axis=-1)
-    with np.errstate(divide="ignore"):
-        return t.sum(axis=-1) / successes
+    return bootstrap(ratio, [t, e], rng, paired=True, level=level, resamples=resamples)
 
 
 def logrank_test(t_a: ArrayLike, e_a: ArrayLike, t_b: ArrayLike, e_b: ArrayLike) -> float:
@@ -252,12 +219,6 @@ def logrank_test(t_a: ArrayLike, e_a: ArrayLike, t_b: ArrayLike, e_b: ArrayLike)
 
     Treats the samples as independent; on positively correlated pairs it is conservative. Two
     samples without any converged trial have the same (constant) curve: p = 1.
-
-    Args:
-        t_a: durations of a [n_a].
-        e_a: converged [n_a].
-        t_b: durations of b [n_b].
-        e_b: converged [n_b].
 
     Source: Mantel, Cancer Chemotherapy Reports 50 (1966); ``scipy.stats.logrank``.
 
@@ -287,17 +248,6 @@ def probability_faster(
     pairs (same seed and trial). Unpaired: the share over all n_a · n_b combinations
     (Mann-Whitney). The interval is Wilson's with n = number of pairs, or min(n_a, n_b): the
     variance of either estimator is at most p(1 - p) / n, so that the interval is conservative.
-
-    Args:
-        t_a: durations of a [n_a].
-        e_a: converged [n_a].
-        t_b: durations of b [n_b].
-        e_b: converged [n_b].
-        paired: the design; needs n_a = n_b.
-        level: confidence level.
-
-    Returns:
-        Probability in [0, 1].
 
     Raises:
         ValueError: an empty sample, or unequal numbers where paired.

@@ -13,12 +13,7 @@ verdict among them would be no surprise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
-
-from trl_explore.statistics.bootstrap import streams
-from trl_explore.thesis.claims import CLAIMS, Checked, Claim
+from trl_explore.thesis.claims import CLAIMS, Checked, Claim, check_claims
 from trl_explore.thesis.rules import (
     FAILS,
     HOLDS,
@@ -45,15 +40,3 @@ __all__ = [
     "Verdict",
     "check_claims",
 ]
-
-
-def check_claims(
-    study: Study, rng: np.random.Generator, claims: Sequence[Claim] = CLAIMS
-) -> list[Checked]:
-    """Decide every claim on the data of a study.
-
-    Each claim has a random stream of its own, so that its verdict does not depend on which
-    other claims there are. Missing data give ``not measured`` with the reason.
-    """
-    rngs = streams(rng, [claim.id for claim in claims])
-    return [claim.check(study, rngs[claim.id]) for claim in claims]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
 import numpy as np
 
+from trl_explore.statistics.bootstrap import streams
 from trl_explore.thesis import means, shares
 from trl_explore.thesis.rules import (
     ALMOST_ALWAYS,
@@ -39,13 +41,6 @@ class Claim:
     place: str
     definition: str
     decide: Decision
-
-    def check(self, study: Study, rng: np.random.Generator) -> Checked:
-        """Decide the claim; missing data give ``not measured`` with the reason."""
-        try:
-            return Checked(self, self.decide(study, rng))
-        except NotMeasuredError as missing:
-            return Checked(self, Finding(NOT_MEASURED, str(missing)))
 
 
 @dataclass(frozen=True)
@@ -340,3 +335,22 @@ CLAIMS: tuple[Claim, ...] = (
         decide=means.baseline_drastic,
     ),
 )
+
+
+def check_claims(
+    study: Study, rng: np.random.Generator, claims: Sequence[Claim] = CLAIMS
+) -> list[Checked]:
+    """Decide every claim on the data of a study.
+
+    Each claim has a random stream of its own, so that its verdict does not depend on which
+    other claims there are. Missing data give ``not measured`` with the reason.
+    """
+    rngs = streams(rng, [claim.id for claim in claims])
+    return [Checked(claim, _decide(claim, study, rngs[claim.id])) for claim in claims]
+
+
+def _decide(claim: Claim, study: Study, rng: np.random.Generator) -> Finding:
+    try:
+        return claim.decide(study, rng)
+    except NotMeasuredError as missing:
+        return Finding(NOT_MEASURED, str(missing))

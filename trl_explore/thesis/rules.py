@@ -70,7 +70,7 @@ UnitDecision = Callable[[Study, np.random.Generator, str], Finding]
 def share(
     count: float, n: int, what: str, *, above: float | None = None, below: float | None = None
 ) -> Rule:
-    """P > ``above``, or p < ``below``, by Wilson's interval; ``what``: "softmax trials pass"."""
+    """The share is p > ``above``, or p < ``below``, by Wilson's interval of ``what``."""
     if above is None:
         assert below is not None
         return contrary(share(count, n, what, above=below))

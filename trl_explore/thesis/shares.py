@@ -26,7 +26,7 @@ EARLY = 450
 
 
 def pass_rates(*strategies: str, **bound: float) -> Decision:
-    """P > ``above``, or p < ``below``, for each of the strategies."""
+    """The pass rate of each of the strategies is p > ``above``, or p < ``below``."""
     return lambda study, rng: all_passing(
         study,
         {f"{strategy_label(name)} trials pass": study.strategy(name) for name in strategies},
@@ -95,7 +95,7 @@ def decay_grid(study: Study) -> dict[float, Outcomes]:
 
 
 def higher_rates_pass(study: Study, rng: np.random.Generator) -> Finding:
-    """P > 90 % for every decay rate above the median of the grid."""
+    """The pass rate is p > 90 % for every decay rate above the median of the grid."""
     grid = decay_grid(study)
     middle = float(np.median(list(grid)))
     higher = {f"trials pass at rate {rate:g}": o for rate, o in grid.items() if rate > middle}

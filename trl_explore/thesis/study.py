@@ -73,14 +73,13 @@ class Study:
 
     Attributes:
         outcomes: one entry per job, of any experiments.
-        seconds: wall time of trials run by themselves, one array [n] per configuration, under
-            ``experiment/name``, ``name`` or (of the experiment ``thesis``) the strategy.
-        timed_trials: under the same key, the trial index of each entry of ``seconds`` [n];
-            without it the entries are the first n trials of the configuration, in order.
+        seconds: wall time of trials run by themselves, ``experiment/name`` -> array [n].
+        timed_trials: ``experiment/name`` -> trial index of each entry of ``seconds`` [n]; without
+            it the entries are the first n trials of the configuration, in order.
         level: confidence level of every verdict.
         resamples: of every bootstrap and permutation test.
         strategies: those that a claim about all strategies is about.
-        places: experiments that stand in the place of others, name -> stand-in.
+        places: experiments that others replace, name -> replacement.
 
     """
 
@@ -93,14 +92,11 @@ class Study:
     places: Mapping[str, str] = field(default_factory=dict)
 
     def under(self, correction: str) -> Study:
-        """The same questions put to the experiments with corrections, under one of them.
+        """The study in which the experiments with corrections replace those without.
 
-        ``corrections`` stands in the place of ``thesis`` (without random, whose actions tell
-        nothing of what was learned), ``corrections_temperature`` in that of ``temperature_grid``.
-
-        Args:
-            correction: name of its class; ``NoCorrection``: the thesis's way, on the same trials.
-
+        ``corrections`` replaces ``thesis`` (without random, whose actions tell nothing of what was
+        learned), ``corrections_temperature`` replaces ``temperature_grid``. ``correction`` is the
+        name of a class; ``NoCorrection`` is the thesis's way, on the same trials.
         """
         places = {"thesis": "corrections", "temperature_grid": "corrections_temperature"}
         chosen = [
@@ -148,29 +144,22 @@ class Study:
         return _pooled(alike)
 
     def choices(self, experiment: str, strategy: str, group: str) -> dict[str, Outcomes]:
-        """Map a strategy's configurations by their option of a group, each with its defaults.
-
-        Args:
-            experiment: to look in.
-            strategy: with the thesis's parameters.
-            group: ``correction`` or ``baseline``.
+        """Map a strategy's configurations by their option of ``correction`` or ``baseline``.
 
         Raises:
             NotMeasuredError: the experiment is missing, or an option has several configurations.
 
         """
-        jobs = [o for o in self.experiment(experiment) if o.strategy == strategy]
-        names = dict.fromkeys(option_of(o.config, group) for o in jobs)
-        known = [n for n in OPTIONS[group] if n in names] + [
-            n for n in names if n not in OPTIONS[group]
-        ]
-        found = {}
-        for name in known:
-            mine = [o for o in jobs if option_of(o.config, group) == name]
-            found[name] = replace(self, outcomes=mine, places={}).strategy(
-                strategy, self.places.get(experiment, experiment)
-            )
-        return found
+        by_name: dict[str, list[Outcomes]] = {name: [] for name in OPTIONS[group]}
+        for o in self.experiment(experiment):
+            if o.strategy == strategy:
+                by_name.setdefault(option_of(o.config, group), []).append(o)
+        place = self.places.get(experiment, experiment)
+        return {
+            name: replace(self, outcomes=jobs, places={}).strategy(strategy, place)
+            for name, jobs in by_name.items()
+            if jobs
+        }
 
     def grid(self, experiment: str, parameter: str) -> dict[float, Outcomes]:
         """Map a grid by the value of its parameter, ascending.
@@ -211,10 +200,8 @@ class Study:
         return Sample(name, unit, values, converged, tuple(keys))
 
     def _seconds(self, outcomes: Outcomes) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-        options = [f"{outcomes.experiment}/{outcomes.name}", outcomes.name]
-        options += [outcomes.strategy] if outcomes.experiment == "thesis" else []
-        key = next((k for k in options if k in self.seconds), None)
-        if key is None:
+        key = f"{outcomes.experiment}/{outcomes.name}"
+        if key not in self.seconds:
             raise NotMeasuredError(
                 f"no trial of {strategy_label(outcomes.strategy)} was timed by itself"
             )

@@ -7,7 +7,6 @@ repeat the comparison with the ratio π/μ in the loss, on the same seeds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,9 +16,9 @@ from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import common
 from trl_explore.thesis import rules
 from trl_explore.thesis.claims import CLAIMS as THESIS
-from trl_explore.thesis.claims import Claim
+from trl_explore.thesis.claims import Claim, check_claims
 from trl_explore.thesis.means import smaller
-from trl_explore.thesis.rules import FAILS, HOLDS, NOT_MEASURED, OPEN, Decision, Finding, Verdict
+from trl_explore.thesis.rules import HOLDS, NOT_MEASURED, OPEN, Decision, Finding
 from trl_explore.thesis.shares import all_passing
 from trl_explore.thesis.study import NotMeasuredError, Sample, Study
 
@@ -58,40 +57,30 @@ class Reexamined:
     @property
     def outcome(self) -> str:
         """What becomes of the statement when the bias is removed."""
-        verdicts = {self.plain.verdict, self.corrected.verdict}
-        if NOT_MEASURED in verdicts:
-            return "not measured"
-        if OPEN in verdicts:
-            return "open"
-        outcomes: dict[tuple[Verdict, Verdict], str] = {
-            (HOLDS, HOLDS): "survives",
-            (HOLDS, FAILS): "falls",
-            (FAILS, HOLDS): "becomes true",
-            (FAILS, FAILS): "false either way",
-        }
-        return outcomes[self.plain.verdict, self.corrected.verdict]
+        for undecided in (NOT_MEASURED, OPEN):
+            if undecided in (self.plain.verdict, self.corrected.verdict):
+                return undecided
+        if self.plain.verdict == HOLDS:
+            return "survives" if self.corrected.verdict == HOLDS else "falls"
+        return "becomes true" if self.corrected.verdict == HOLDS else "false either way"
 
 
 def reexamine(
-    study: Study,
-    plain: Sequence[np.random.Generator],
-    corrected: Sequence[np.random.Generator],
-    correction: str = RATIO,
+    study: Study, plain: np.random.Generator, corrected: np.random.Generator
 ) -> list[Reexamined]:
     """Decide every one of ``CONCLUSIONS`` twice, with the very tests used for the thesis.
 
     Args:
         study: with the experiments ``corrections`` and ``corrections_temperature``.
-        plain: a generator for each conclusion, for the verdicts without correction.
-        corrected: the same for those with it.
-        correction: class of the correction.
+        plain: source of the resampling for the verdicts without correction.
+        corrected: the same for those with the per-step ratio.
 
     """
-    without, under = study.under(PLAIN), study.under(correction)
-    return [
-        Reexamined(claim, claim.check(without, a).finding, claim.check(under, b).finding)
-        for claim, a, b in zip(CONCLUSIONS, plain, corrected, strict=True)
-    ]
+    without, under = (
+        check_claims(study.under(name), rng, CONCLUSIONS)
+        for name, rng in ((PLAIN, plain), (RATIO, corrected))
+    )
+    return [Reexamined(a.claim, a.finding, b.finding) for a, b in zip(without, under, strict=True)]
 
 
 def mostly_bias(strategy: str) -> Decision:
@@ -100,8 +89,7 @@ def mostly_bias(strategy: str) -> Decision:
     def decide(study: Study, rng: np.random.Generator) -> Finding:
         jobs = study.choices("corrections", strategy, "correction")
         plain, ratio = _need(jobs, PLAIN, strategy), _need(jobs, RATIO, strategy)
-        best = study.under(PLAIN).strategy("softmax")
-        best = study.sample(best, "iterations")
+        best = study.sample(study.under(PLAIN).strategy("softmax"), "iterations")
         label = f"twice the excess of {strategy_label(strategy)} over softmax with the ratio"
         corrected = _excess(study.sample(ratio, "iterations"), best, label)
         doubled = replace(corrected, values=2 * corrected.values)
@@ -153,7 +141,7 @@ def hot_softmax_repaired(study: Study, rng: np.random.Generator) -> Finding:
 
 
 def every_temperature_serves(study: Study, rng: np.random.Generator) -> Finding:
-    """P > 90 % at every temperature with the gradient of μ."""
+    """The pass rate is p > 90 % at every temperature with the gradient of μ."""
     grid = study.under("Behaviour").grid("temperature_grid", "temperature")
     passing = {f"trials pass at T = {t:g}": o for t, o in grid.items()}
     return all_passing(study, passing, above=rules.CONSISTENTLY)

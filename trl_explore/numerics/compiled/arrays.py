@@ -1,31 +1,127 @@
-"""Vector instructions that a compiler does not find by itself, because they change an order.
+"""Arrays in compiled code: without reference counts or heap memory, and read as vectors.
 
-A sum must run in the order in which it is written; here it is written as eight sums side by side.
-The order is fixed, and nothing depends on where in memory the numbers lie.
+Vectors here are those that a compiler does not find by itself, because they change an order. A sum
+must run in the order in which it is written; here it is written as eight sums side by side. The
+order is fixed, and nothing depends on where in memory the numbers lie.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import numba as nb
+import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
+from numba.core.errors import TypingError
 from numba.extending import intrinsic
+from numba.np.numpy_support import as_dtype
 
 WIDTH = 8
 """Numbers side by side; arrays are taken in whole groups of so many."""
 MOST_COLUMNS = 16
 """Up to so many columns, rows of a matrix are read as one vector and sorted in registers."""
+STACK_BYTES = 1 << 15
+"""Larger arrays are not for the stack, which ends somewhere; to compile them takes minutes."""
 
 _INT32, _DOUBLE = ir.IntType(32), ir.DoubleType()
 
 
 @intrinsic
+def borrow(typingctx, array):
+    """The same array, not owned: rows taken from it cost no atomic reference counts.
+
+    The caller's array must outlive it; arguments of a function do.
+    """
+    if not isinstance(array, types.Array):
+        raise TypingError(f"borrow takes an array, got {array}")
+
+    def codegen(context, builder, signature, args):
+        view = context.make_array(signature.return_type)(context, builder, value=args[0])
+        view.meminfo = cgutils.get_null_value(view.meminfo.type)
+        return view._getvalue()
+
+    return array(array), codegen
+
+
+@intrinsic
+def lane(typingctx, array, j):
+    """Column j of an array [size, lanes], not owned."""
+    if not isinstance(array, types.Array) or array.ndim != 2:
+        raise TypingError(f"lane takes an array with two dimensions, got {array}")
+    column = types.Array(array.dtype, 1, "A")
+
+    def codegen(context, builder, signature, args):
+        whole = context.make_array(array)(context, builder, value=args[0])
+        view = context.make_array(column)(context, builder)
+        context.populate_array(
+            view,
+            data=builder.gep(whole.data, [args[1]]),
+            shape=cgutils.unpack_tuple(builder, whole.shape, 2)[:1],
+            strides=cgutils.unpack_tuple(builder, whole.strides, 2)[:1],
+            itemsize=whole.itemsize,
+            meminfo=None,
+        )
+        return view._getvalue()
+
+    return column(array, types.intp), codegen
+
+
+def on_stack(dtype: types.Type, *shape: int) -> Any:
+    """A compiled function that returns an array on the stack of the function that calls it.
+
+    No other array overlaps it, and its sizes are constants: the compiler knows both, and turns
+    loops over it into vector instructions. One of more than ``STACK_BYTES`` is on the heap.
+    """
+    array, item = types.Array(dtype, len(shape), "C"), as_dtype(dtype)
+    if item.itemsize * math.prod(shape) > STACK_BYTES:
+        return nb.njit(nogil=True)(lambda: np.zeros(shape, item))
+
+    @intrinsic
+    def make(typingctx):
+        def codegen(context, builder, signature, args):
+            item = context.get_data_type(dtype)
+            size = context.get_abi_sizeof(item)
+            memory = cgutils.alloca_once(builder, ir.ArrayType(item, math.prod(shape)))
+            memory.align = 64
+            whole = context.make_array(array)(context, builder)
+            strides = [size * math.prod(shape[i + 1 :]) for i in range(len(shape))]
+            context.populate_array(
+                whole,
+                data=builder.bitcast(memory, item.as_pointer()),
+                shape=[context.get_constant(types.intp, n) for n in shape],
+                strides=[context.get_constant(types.intp, n) for n in strides],
+                itemsize=context.get_constant(types.intp, size),
+                meminfo=None,
+            )
+            return whole._getvalue()
+
+        return array(), codegen
+
+    return make
+
+
+@intrinsic
+def one_by_one(typingctx):
+    """Keeps the loop that it stands in from becoming vector instructions."""
+
+    def codegen(context, builder, signature, args):
+        nothing = ir.FunctionType(ir.VoidType(), [])
+        builder.asm(nothing, "", "", [], side_effect=True)
+        return context.get_dummy_value()
+
+    return types.none(), codegen
+
+
+@intrinsic
 def dot(typingctx: Any, x: Any, y: Any, groups: Any) -> Any:
-    """Σ_i x_i y_i over WIDTH · groups numbers, in double: eight sums, added pairwise in the end."""
+    """Σ_i x_i y_i over WIDTH · groups numbers, in double; twin: ``numpy.dot``.
+
+    There are eight sums, added pairwise in the end.
+    """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         double = ir.VectorType(_DOUBLE, WIDTH)
@@ -50,7 +146,9 @@ def dot(typingctx: Any, x: Any, y: Any, groups: Any) -> Any:
 
 @lru_cache(maxsize=32)
 def columns(n: int) -> Callable[..., None]:
-    """A compiled ``take(x, start, out, groups)``: out[k, f] = x[start + f, k], for f < 8 groups.
+    """A compiled ``take(x, start, out, groups)``; twin: ``numpy.transpose``.
+
+    out[k, f] = x[start + f, k], for f < 8 groups.
 
     Args:
         n: the number of columns of x [*, n]; ``out`` is [n, *].

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trl_explore.numerics.philox import STATE_SIZE, begin, philox_block, random
+from trl_explore.numerics.compiled.philox import STATE_SIZE, begin, philox_block, random
 from trl_explore.numerics.streams import Stream, generator, key
 
 

@@ -39,7 +39,7 @@ def _multiply(typingctx, a, b):
 
 @nb.njit(error_model="numpy", forceinline=True)
 def philox_block(k0, k1, c0, c1, c2, c3):
-    """The four words that key (k0, k1) gives to counter (c0, c1, c2, c3)."""
+    """The words of key (k0, k1) at counter (c0, c1, c2, c3); twin: ``streams.generator``."""
     for _ in range(10):
         h0, l0 = _multiply(_M0, c0)
         h1, l1 = _multiply(_M1, c2)
@@ -51,13 +51,13 @@ def philox_block(k0, k1, c0, c1, c2, c3):
 
 @nb.njit(error_model="numpy", forceinline=True)
 def to_unit(word):
-    """A number in [0, 1) from the upper 53 bits of a word."""
+    """A number in [0, 1) from the upper 53 bits of a word; twin: ``streams.generator``."""
     return np.float64(word >> _ELEVEN) * (1.0 / 9007199254740992.0)
 
 
 @nb.njit(error_model="numpy", forceinline=True)
 def begin(rng, key, episode, trial):
-    """Set ``rng`` [STATE_SIZE] to the start of an episode's stream (``streams.generator``)."""
+    """Set ``rng`` [STATE_SIZE] to the start of a stream; twin: ``streams.generator``."""
     rng[0], rng[1] = key[0], key[1]
     rng[2], rng[3], rng[4], rng[5] = _ZERO, _ZERO, np.uint64(episode), np.uint64(trial)
     rng[10] = _FOUR
@@ -65,7 +65,7 @@ def begin(rng, key, episode, trial):
 
 @nb.njit(error_model="numpy", forceinline=True)
 def random(rng):
-    """The next number of a stream, uniform in [0, 1): what ``np_random.random()`` would give."""
+    """The next number of a stream, uniform in [0, 1); twin: ``streams.generator``."""
     if rng[10] == _FOUR:
         rng[2] += _ONE  # an episode cannot exhaust 2^64 blocks: no carry
         block = philox_block(rng[0], rng[1], rng[2], rng[3], rng[4], rng[5])

@@ -1,9 +1,12 @@
 import math
 
+import numpy as np
 import pytest
 import torch
+from scipy import stats
+from torch.distributions import Independent, Normal
 
-from trl_explore.numerics.log_prob import categorical_log_prob
+from trl_explore.numerics.densities import categorical_log_prob, gaussian_entropy, gaussian_log_prob
 
 SINGLE = [torch.float32, torch.float64]
 
@@ -110,7 +113,7 @@ def test_actions_of_other_dtypes(dtype):
 
 @pytest.mark.parametrize("action", [-1, 2, 1000])
 def test_an_action_that_does_not_exist(action):
-    with pytest.raises(IndexError, match=r"an action is not in \[0, 2\)"):
+    with pytest.raises(IndexError, match=r"action.*\[0, 2\)"):
         categorical_log_prob(torch.zeros(3, 2), torch.tensor([0, action, 1]))
 
 
@@ -156,3 +159,53 @@ def test_a_mask_in_any_place(masked, dtype):
         (gradient,) = torch.autograd.grad(ours.sum(), logits)
         (expected,) = torch.autograd.grad(plain, logits)
         torch.testing.assert_close(gradient, expected)
+
+
+# The Gaussian
+
+
+def numbers(*shape, dtype=torch.float64):
+    generator = torch.Generator().manual_seed(2)
+    loc, action = (3 * torch.randn(*shape, generator=generator, dtype=dtype) for _ in range(2))
+    scale = torch.rand(*shape, generator=generator, dtype=dtype) * 5 + 1e-3
+    return action, loc, scale
+
+
+def test_gaussian_by_hand():
+    # (3 - 1) / 2 = 1 and (0 - 0) / 0.5 = 0: -1/2 - log 2 - log 0.5 - log 2 pi.
+    action, loc, scale = torch.tensor([[3.0, 0.0], [1.0, 0.0], [2.0, 0.5]])
+    expected = -0.5 - math.log(2 * math.pi)
+    assert gaussian_log_prob(action, loc, scale).item() == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(50, 1), (50, 4), (2, 3, 5), (6,), (0, 2)])
+def test_density_and_entropy_are_scipys(shape):
+    action, loc, scale = numbers(*shape)
+    density = stats.norm.logpdf(action.numpy(), loc.numpy(), scale.numpy()).sum(-1)
+    np.testing.assert_allclose(gaussian_log_prob(action, loc, scale), density, rtol=1e-12)
+    entropy = stats.norm.entropy(loc.numpy(), scale.numpy()).sum(-1)
+    np.testing.assert_allclose(gaussian_entropy(scale), entropy, rtol=1e-12)
+
+
+def test_gradients_are_those_of_torchs_distributions():
+    action, *parameters = (x.requires_grad_() for x in numbers(20, 3))
+    ours = torch.autograd.grad(gaussian_log_prob(action, *parameters).sum(), [action, *parameters])
+    normal = Independent(Normal(*parameters), 1)
+    theirs = torch.autograd.grad(normal.log_prob(action).sum(), [action, *parameters])
+    torch.testing.assert_close(ours, theirs)
+    ours = torch.autograd.grad(gaussian_entropy(parameters[1]).sum(), parameters[1])
+    theirs = torch.autograd.grad(normal.entropy().sum(), parameters[1])
+    torch.testing.assert_close(ours, theirs)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_frame_is_the_same_wherever_it_stands(dtype):
+    columns = numbers(40, 3, dtype=dtype)
+    together = gaussian_log_prob(*columns)
+    for k in range(40):
+        assert torch.equal(gaussian_log_prob(*(x[k : k + 1] for x in columns))[0], together[k])
+
+
+def test_gaussian_shapes_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match=r"scale is \[2\], but the frames are \[3, 2\]"):
+        gaussian_log_prob(torch.zeros(3, 2), torch.zeros(3, 2), torch.ones(2))

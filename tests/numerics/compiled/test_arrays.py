@@ -2,7 +2,7 @@ import numba as nb
 import numpy as np
 import pytest
 
-from trl_explore.numerics.vectors import MOST_COLUMNS, WIDTH, columns, dot
+from trl_explore.numerics.compiled.arrays import MOST_COLUMNS, WIDTH, columns, dot
 
 DTYPES = pytest.mark.parametrize("dtype", [np.float32, np.float64])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -29,23 +30,33 @@ class ConfigError(ValueError):
 
 
 def defaults_of(choices: Mapping[str, str | None]) -> DictConfig:
-    """What the files of ``conf/`` say for these choices, before any override."""
-    defaults = OmegaConf.load(CONF / "train.yaml")
-    assert isinstance(defaults, DictConfig)
+    """What the files of ``conf/`` say for these choices, before any override; not to be changed."""
+    return _defaults(tuple(sorted(choices.items())))
+
+
+@lru_cache(maxsize=64)
+def _defaults(items: tuple[tuple[str, str | None], ...]) -> DictConfig:
+    choices = dict(items)
+    defaults = load("train").copy()
     for group in GROUPS:
-        path = CONF / group / f"{choices.get(group)}.yaml"
-        defaults[group] = OmegaConf.load(path) if path.is_file() else {}
-    experiment = CONF / "experiment" / f"{choices.get('experiment')}.yaml"
-    if experiment.is_file():
-        defaults = OmegaConf.merge(defaults, OmegaConf.load(experiment))
+        defaults[group] = load(f"{group}/{choices.get(group)}")
+    defaults = OmegaConf.merge(defaults, load(f"experiment/{choices.get('experiment')}"))
     assert isinstance(defaults, DictConfig)
     for key in ("defaults", "hydra"):
         defaults.pop(key, None)
     for key, option in schedules_of(choices).items():
-        path = CONF / "schedule" / f"{option}.yaml"
-        if path.is_file() and OmegaConf.select(defaults, key) is not None:
-            OmegaConf.update(defaults, key, OmegaConf.load(path), merge=False)
+        if (schedule := load(f"schedule/{option}")) and OmegaConf.select(defaults, key) is not None:
+            OmegaConf.update(defaults, key, schedule, merge=False)
     return defaults
+
+
+@cache
+def load(name: str) -> DictConfig:
+    """A file of ``conf/``, named without its ending; empty if there is none. Not to be changed."""
+    path = CONF / f"{name}.yaml"
+    content = OmegaConf.load(path) if path.is_file() else OmegaConf.create()
+    assert isinstance(content, DictConfig)
+    return content
 
 
 def schedules_of(choices: Mapping[str, str | None]) -> dict[str, str]:
