@@ -31,7 +31,7 @@ KEYS = [
     "seed", "trials", "first_trial", "episodes_per_update", "max_iterations", "score_threshold",
     "score_window", "episodes", "restart", "threads", "env.id", "env.max_steps", "env.kwargs",
     "strategy.temperature", "strategy.epsilon", "strategy.decay", "loss.gamma", "loss.weight",
-    "loss.entropy", "optimizer.lr", "optimizer.betas", "optimizer.eps", "collector.threads",
+    "loss.entropy", "optimizer.lr", "optimizer.betas", "optimizer.eps",
     "policy.bias", "baseline.value",
 ]  # fmt: skip
 NUMBERS = ["0", "1", "2", "3", "-1", "0.5", "1.0", "-0.0", "1e-3", "nan", "inf", "-inf", "1e400",

@@ -31,7 +31,7 @@ JOBS = {
         "strategy=epsilon_greedy", f"strategy.epsilon={EPSILONS}", "diagnostics=true",
         "evaluate_every=3", "evaluate_episodes=2", "baseline=linear_value", "episodes_per_update=2",
     ],
-    "stopped by evaluation": ["evaluate_every=2", "stop_on=evaluation", "optimizer=torch_adam"],
+    "stopped by evaluation": ["evaluate_every=2", "stop_on=evaluation", "optimizer=torch"],
     "learns from data": ["strategy=vdbe", "baseline=step_mean", "evaluate_every=4"],
     "counts": ["strategy=count_bonus", "diagnostics=true"],
     "noise": ["strategy=parameter_noise", "baseline=episode_mean", "diagnostics=true"],

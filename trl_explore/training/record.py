@@ -139,7 +139,8 @@ class Trials:
         self._n_episodes += columns.shape[1]
         return _enter_rows(
             trial, columns, frames.reshape(columns.shape), first,
-            min(self._n_episodes, self.score_window), seconds, *(getattr(self, n) for n in _ROWS),
+            min(self._n_episodes, self.score_window), seconds, self.iterations, self.frames,
+            self.seconds, self.score, self._episode_score, self._window, self._sum,
         )  # fmt: skip
 
     def _stop(
