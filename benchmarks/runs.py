@@ -20,7 +20,6 @@ from torchrl.envs import Compose, GymEnv, RewardSum, StepCounter, TransformedEnv
 
 from trl_explore.collectors import FusedCollector, TorchRLCollector
 from trl_explore.envs import make_env
-from trl_explore.numerics.threads import set_threads
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.policies import LinearPolicy
 from trl_explore.policies.actor import SoftmaxActor
@@ -100,14 +99,12 @@ def build(
     return Trainer(collector, loss, LaneAdam(policy.parameters()), record)
 
 
-def train(trainer: Trainer, threads: int = 1) -> Run:
+def train(trainer: Trainer) -> Run:
     """Train until every trial has stopped."""
-    set_threads(threads)
     gc.collect()
     started = time.perf_counter()
     trials = trainer.run()
     seconds = time.perf_counter() - started
-    set_threads(1)
     trainer.collector.shutdown()
     episodes = trials.episodes()
     longest = np.zeros(trials.iteration + 1, dtype=np.int64)
@@ -133,7 +130,7 @@ def fused(
     trainer = build(
         strategy, trials, first_trial=first_trial, threads=threads, max_iterations=max_iterations
     )
-    return train(trainer, threads)
+    return train(trainer)
 
 
 def fused_alone(trials: int, max_iterations: int = CAP) -> Run:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trl_explore.checks import check_integer, check_number, interval
+from trl_explore.checks import check_integer, check_number, interval, settle
 
 
 @pytest.mark.parametrize("value", [0, 1, 0.5, np.float32(0.25), np.int64(1), Fraction(1, 3)])
@@ -18,7 +18,7 @@ def test_number_within_closed_bounds_is_returned_as_float(value):
 
 @pytest.mark.parametrize("value", [-1e-9, 1.0000001, math.nan, math.inf, -math.inf])
 def test_number_out_of_bounds(value):
-    with pytest.raises(ValueError, match=r"epsilon must be a number in \[0, 1\], got") as error:
+    with pytest.raises(ValueError, match=r"^epsilon.*\[0, 1\]") as error:
         check_number("epsilon", value, 0, 1)
     assert repr(value) in str(error.value)
     assert "\n" not in str(error.value)
@@ -26,24 +26,21 @@ def test_number_out_of_bounds(value):
 
 @pytest.mark.parametrize("value", [True, False, "0.5", None, [0.5], 1j])
 def test_what_is_not_a_number(value):
-    with pytest.raises(ValueError, match="epsilon must be a number"):
+    with pytest.raises(ValueError, match=r"^epsilon.*\[0, 1\]"):
         check_number("epsilon", value, 0, 1)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_number_without_bounds_is_finite(value):
     assert check_number("baseline", -1e300) == -1e300
-    with pytest.raises(ValueError, match="baseline must be a number that is finite"):
+    with pytest.raises(ValueError, match=r"^baseline.*finite"):
         check_number("baseline", value)
 
 
 def test_open_bounds_exclude_their_ends():
-    assert check_number("x", 0, 0, 1, high_open=True) == 0
     assert check_number("x", 1, 0, 1, low_open=True) == 1
-    with pytest.raises(ValueError, match=r"x must be a number in \(0, 1\], got 0"):
+    with pytest.raises(ValueError, match=r"^x.*\(0, 1\].*0$"):
         check_number("x", 0, 0, 1, low_open=True)
-    with pytest.raises(ValueError, match=r"x must be a number in \[0, 1\), got 1"):
-        check_number("x", 1, 0, 1, high_open=True)
 
 
 @given(st.floats(), st.floats(0, 1))
@@ -65,7 +62,7 @@ def test_integer(value):
 
 @pytest.mark.parametrize("value", [0, -1, 1.0, 1.5, "1", True, None, math.nan])
 def test_what_is_not_an_integer_of_at_least_one(value):
-    with pytest.raises(ValueError, match="trials must be an integer >= 1, got") as error:
+    with pytest.raises(ValueError, match=r"^trials.*>= 1") as error:
         check_integer("trials", value, 1)
     assert repr(value) in str(error.value)
 
@@ -77,16 +74,41 @@ def test_integer_zero_where_zero_is_allowed():
 @pytest.mark.parametrize(
     ("bounds", "words"),
     [
-        ((0, 1, False, False), "in [0, 1]"),
-        ((0, 1, True, True), "in (0, 1)"),
-        ((0, 0.5, True, False), "in (0, 0.5]"),
-        ((0, 1, False, True), "in [0, 1)"),
-        ((0, math.inf, False, False), ">= 0"),
-        ((0, math.inf, True, False), "> 0"),
-        ((-math.inf, 2, False, False), "<= 2"),
-        ((-math.inf, 2, False, True), "< 2"),
-        ((-math.inf, math.inf, True, True), "that is finite"),
+        ((0, 1, False), "in [0, 1]"),
+        ((0, 0.5, True), "in (0, 0.5]"),
+        ((0, math.inf, False), ">= 0"),
+        ((0, math.inf, True), "> 0"),
+        ((-math.inf, 2, False), "<= 2"),
+        ((-math.inf, math.inf, True), "that is finite"),
     ],
 )
 def test_words_of_a_range(bounds, words):
-    assert interval(*bounds) == words
+    low, high, low_open = bounds
+    assert interval(low, high, low_open=low_open) == words
+
+
+def test_a_declaration_does_not_outlive_an_overridden_method():
+    class Base:
+        fast = True
+
+        def __init_subclass__(cls):
+            settle(cls, "fast", False, ["run", "walk"])
+
+        def run(self): ...
+
+    class Mixin:
+        def walk(self): ...
+
+    class Same(Base):
+        def other(self): ...
+
+    class Mixed(Mixin, Same): ...
+
+    class Stated(Mixed):
+        fast = True
+
+    class Below(Stated):
+        def run(self): ...
+
+    assert (Base.fast, Same.fast, Stated.fast) == (True, True, True)
+    assert (Mixed.fast, Below.fast) == (False, False)

@@ -10,9 +10,8 @@ import pytest
 
 import trl_explore
 
-MODULES = sorted(
-    module.name for module in pkgutil.walk_packages(trl_explore.__path__, "trl_explore.")
-)
+FOUND = pkgutil.walk_packages(trl_explore.__path__, "trl_explore.")
+MODULES = ["trl_explore", *sorted(module.name for module in FOUND)]
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -77,19 +77,3 @@ def test_trial_7_alone_is_trial_7_of_30(collector, train):
     a, b = one.trials.episodes(), many.trials.episodes()
     for name in ("iteration", "score", "frames"):
         assert a[name].tolist() == b[name][b["trial"] == 7].tolist()
-
-
-@pytest.mark.parametrize("threads", [2, 3])
-def test_threads_change_no_bit_of_a_training(threads, train, monkeypatch):
-    from trl_explore.collectors.fused import collector as fused
-    from trl_explore.numerics import threads as module
-
-    monkeypatch.setattr(fused, "MIN_TRIALS", 1)
-    monkeypatch.setattr(module, "MIN_FRAMES", 1)
-    run = {"seed": 2, "max_iterations": 8, "score_window": 3, "score_threshold": 25.0}
-    single = train(Softmax(), 7, collector=fused.FusedCollector, **run)
-    monkeypatch.setattr(module, "_threads", threads)
-    several = train(Softmax(), 7, collector=partial(fused.FusedCollector, threads=threads), **run)
-    assert first_difference(single, several) is None
-    for p, q in zip(single.optimizer.parameters, several.optimizer.parameters, strict=True):
-        assert p.detach().numpy().tobytes() == q.detach().numpy().tobytes()

@@ -19,6 +19,7 @@ PACKAGE = ROOT / NAME
 
 ROOMS = (
     "checks",
+    "names",
     "numerics",
     "statistics",
     "strategies",
@@ -41,6 +42,7 @@ USERS = {
     "hydra": ("config", "commands"),
     "omegaconf": ("config", "commands"),
     "matplotlib": ("report",),
+    "jinja2": ("report",),
     f"{NAME}.thesis": ("thesis", "report"),
 }
 """The only parts of the package that may import each of these, anywhere in their modules."""
@@ -53,8 +55,6 @@ HEAVY = TORCH | {"hydra", "omegaconf", "numba", "llvmlite"}
 KNOWN = (
     # The mark of a compiled kernel is defined in the room of the kernels.
     ("numerics", "envs.kernels.kernel"),
-    # The wording of a verdict is shared with the claims.
-    ("statistics.answer", "thesis.model"),
 )
 """Imports that break a rule today: the importing module or room, and what it imports."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from contextlib import suppress
 from numbers import Integral, Real
 from typing import Any
@@ -15,7 +16,6 @@ def check_number(
     high: float = math.inf,
     *,
     low_open: bool = False,
-    high_open: bool = False,
 ) -> float:
     """Return ``value`` as a float if it is a finite number within the bounds.
 
@@ -34,14 +34,10 @@ def check_number(
     if isinstance(value, Real) and not isinstance(value, bool):
         with suppress(OverflowError):
             number = float(value)
-    inside = (
-        math.isfinite(number)
-        and (number > low if low_open else number >= low)
-        and (number < high if high_open else number <= high)
-    )
-    if not inside:
+    above = number > low if low_open else number >= low
+    if not (math.isfinite(number) and above and number <= high):
         raise ValueError(
-            f"{name} must be a number {interval(low, high, low_open, high_open)}, got {value!r}"
+            f"{name} must be a number {interval(low, high, low_open=low_open)}, got {value!r}"
         )
     return number
 
@@ -78,15 +74,50 @@ def check_flag(name: str, value: Any) -> bool:
     return value
 
 
-def interval(low: float, high: float, low_open: bool, high_open: bool) -> str:
+def interval(low: float, high: float, *, low_open: bool = False) -> str:
     """The words for a range, such as ``in [0, 1]`` or ``> 0``."""
     if math.isinf(high) and math.isinf(low):
         return "that is finite"
     if math.isinf(high):
         return f"{'>' if low_open else '>='} {low:g}"
     if math.isinf(low):
-        return f"{'<' if high_open else '<='} {high:g}"
-    return f"in {'(' if low_open else '['}{low:g}, {high:g}{')' if high_open else ']'}"
+        return f"<= {high:g}"
+    return f"in {'(' if low_open else '['}{low:g}, {high:g}]"
+
+
+def settle(cls: type, attribute: str, value: bool, methods: Collection[str]) -> None:
+    """Set a declared attribute of a class that overrides a method without declaring it again.
+
+    A class declares what it can do in an attribute. What a class inherits may not hold once it
+    overrides one of the methods that the declaration speaks of; call this in
+    ``__init_subclass__``, so that the declaration is then ``value`` unless the class states it.
+
+    Args:
+        cls: the new class.
+        attribute: the name of the declaration.
+        value: the safe answer.
+        methods: the methods that the declaration speaks of.
+
+    Example:
+        >>> class Base:
+        ...     fast = True
+        ...     def __init_subclass__(cls):
+        ...         settle(cls, "fast", False, ["run"])
+        >>> class Same(Base): ...
+        >>> class Changed(Base):
+        ...     def run(self): ...
+        >>> class Stated(Base):
+        ...     fast = True
+        ...     def run(self): ...
+        >>> Same.fast, Changed.fast, Stated.fast
+        (True, False, True)
+    """
+    for ancestor in cls.__mro__:
+        if attribute in vars(ancestor):
+            return
+        if not vars(ancestor).keys().isdisjoint(methods):
+            setattr(cls, attribute, value)
+            return
 
 
 def first_line(error: BaseException) -> str:

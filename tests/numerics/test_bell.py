@@ -7,7 +7,7 @@ import threading
 import numpy as np
 
 from trl_explore.numerics.bell import CELLS, LINE, NUMBER, cells, heard, report, ring
-from trl_explore.numerics.compiled import compiled
+from trl_explore.numerics.compiled.cache import compiled
 
 
 def test_a_bell_calls_as_many_workers_as_it_says():

@@ -15,7 +15,7 @@ import pytest
 
 from trl_explore.numerics import crew
 from trl_explore.numerics.bell import heard, ring
-from trl_explore.numerics.compiled import compiled
+from trl_explore.numerics.compiled.cache import compiled
 from trl_explore.numerics.crew import Crew, together
 
 

@@ -124,19 +124,6 @@ def test_compiled_and_plain_agree(gamma):
     torch.testing.assert_close(plain.real, compiled, rtol=1e-13, atol=1e-13)
 
 
-@pytest.mark.parametrize("threads", [2, 3, 7])
-@pytest.mark.parametrize("in_order", [True, False])
-def test_the_number_of_threads_does_not_matter(threads, in_order, monkeypatch):
-    monkeypatch.setattr("trl_explore.numerics.threads.MIN_FRAMES", 1)
-    torch.manual_seed(4)
-    reward, done = torch.randn(500), torch.rand(500) < 0.05
-    trial = torch.arange(500) // 60
-    trial = trial if in_order else 8 - trial
-    expected = return_to_go(reward, done, 0.97, trial)
-    monkeypatch.setattr("trl_explore.numerics.threads._threads", threads)
-    assert torch.equal(return_to_go(reward, done, 0.97, trial), expected)
-
-
 def test_layout_in_memory_does_not_matter():
     torch.manual_seed(2)
     reward, done = torch.randn(6, 4), torch.rand(6, 4) < 0.3

@@ -18,7 +18,7 @@ from trl_explore.objectives.baselines import StepMean
 from trl_explore.objectives.episodes import outcomes
 from trl_explore.policies import glorot_uniform
 from trl_explore.strategies import VDBE, Argmax, DecayingEpsilonGreedy, EpsilonGreedy, Softmax
-from trl_explore.training.optimizers import LaneAdam, LaneOptimizer, torch_adam
+from trl_explore.training.optimizers import LaneAdam, LaneOptimizer, torch_optimizer
 
 FILES = [CONF / "strategy" / f"{name}.yaml" for name in options("strategy", "discrete")]
 
@@ -127,7 +127,7 @@ def tensors(optimizer) -> list[torch.Tensor]:
     return [*(parameter.detach() for parameter in optimizer.parameters), *state]
 
 
-@pytest.mark.parametrize("optimizer", [LaneAdam, torch_adam])
+@pytest.mark.parametrize("optimizer", [LaneAdam, partial(torch_optimizer, name="Adam")])
 def test_a_stopped_trial_does_not_move(optimizer, build):
     """Neither its weights nor the state of Adam, from the iteration in which it stops."""
     seen: list[tuple[np.ndarray, list[torch.Tensor]]] = []
@@ -329,7 +329,7 @@ def test_lane_adam_trains_like_torch_adam(train):
     """The same episodes, and the same weights up to rounding."""
     one, two = (
         train(EpsilonGreedy(0.3), 3, max_iterations=8, optimizer=optimizer)
-        for optimizer in (LaneAdam, torch_adam)
+        for optimizer in (LaneAdam, partial(torch_optimizer, name="Adam"))
     )
     for k in range(3):
         assert history(one, k) == history(two, k)
@@ -349,7 +349,7 @@ def test_a_mean_over_trials_is_refused(build):
     def mean(*args, **kwargs):
         return ReinforceLoss(*args, **kwargs, reduction="mean")
 
-    with pytest.raises(ValueError, match="reduction 'mean' couples the trials"):
+    with pytest.raises(ValueError, match=r"reduction.*'mean'.*trials"):
         build(Softmax(), loss=mean)
 
 

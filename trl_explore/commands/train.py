@@ -142,12 +142,10 @@ def train_from(
 
     from trl_explore.jobs.console import Progress
     from trl_explore.jobs.resume import Saver, restore
-    from trl_explore.numerics.threads import set_threads
 
     choices = configuration.current_choices()
     trainer = configuration.build_trainer(config)
     torch.set_num_threads(1)
-    set_threads(config.threads)
     if checkpoint is not None:
         restore(trainer, checkpoint)
     header = {"config": values, "versions": results.versions()}

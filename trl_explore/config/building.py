@@ -66,7 +66,7 @@ def build_trainer(config: DictConfig) -> Trainer:
     """
     from tensordict.nn import TensorDictSequential
 
-    from trl_explore.numerics.compiled import lock_cache
+    from trl_explore.numerics.compiled.cache import lock_cache
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.record import Trials

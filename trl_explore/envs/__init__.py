@@ -1,6 +1,6 @@
 """Environments: any gymnasium id as one TorchRL environment whose batch dimension is the lanes.
 
-``make_env`` is imported on first use: worker processes import ``envs.processes`` without torch.
+``make_env`` is imported on first use: worker processes import ``envs.copies`` without torch.
 """
 
 from __future__ import annotations

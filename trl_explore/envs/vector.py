@@ -15,9 +15,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from trl_explore.checks import LARGEST, check_integer
-from trl_explore.envs.copies import Copies, Make, Signals
+from trl_explore.envs.copies import Copies, Make, ProcessCopies, Signals
 from trl_explore.envs.gym import make_gym
-from trl_explore.envs.processes import ProcessCopies
 from trl_explore.numerics.streams import Stream, generator
 
 MAX_WORKERS = 256

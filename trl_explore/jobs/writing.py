@@ -90,6 +90,8 @@ def write_job(
         evaluator: what was evaluated, for ``evaluations.csv``.
         diagnostics: what was recorded beside the scores, for further columns of ``episodes.csv``.
     """
+    import torch
+
     _write_text(job / TRIALS, _trials_csv(trials, config))
     if episodes:
         extra = {} if diagnostics is None else diagnostics.columns()
@@ -108,7 +110,7 @@ def write_job(
         "collector": collector,
         "seconds": seconds,
         "iterations": trials.iteration,
-        "threads": _threads(),
+        "threads": {"compiled": config.get("threads", 1), "torch": torch.get_num_threads()},
         "files": _record(job),
         "config": config,
         "versions": versions(),
@@ -132,15 +134,6 @@ def _record(job: Path) -> dict[str, dict[str, Any]]:
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _threads() -> dict[str, int]:
-    """Among how many threads the work was divided: by compiled code, and by torch."""
-    import torch
-
-    from trl_explore.numerics.threads import get_threads
-
-    return {"compiled": get_threads(), "torch": torch.get_num_threads()}
 
 
 def _write_text(path: Path, text: str) -> None:

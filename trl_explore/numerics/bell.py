@@ -19,10 +19,9 @@ from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from trl_explore.envs.kernels.kernel import kernel_function
-from trl_explore.numerics import borrow as borrow_module
-from trl_explore.numerics.borrow import on_stack
-from trl_explore.numerics.compiled import compiled
+from trl_explore.numerics.compiled import arrays
+from trl_explore.numerics.compiled.arrays import on_stack
+from trl_explore.numerics.compiled.cache import compiled, kernel_function
 
 LINE = 8
 """Cells of a cache line: what two threads write lies in lines of its own."""
@@ -88,7 +87,7 @@ def ring(bell):
             _store(worker + 8 * CALLED, _load(worker + 8 * NUMBER))
 
 
-@compiled(borrow_module)
+@compiled(arrays)
 def heard(cell, last, patience):
     """Wait until the cell at an address is larger than ``last``; whether that took not too long.
 
@@ -108,7 +107,7 @@ def heard(cell, last, patience):
         _yield()
 
 
-@compiled(borrow_module)
+@compiled(arrays)
 def report(cell, number, next_cell, patience):
     """Write a number to the cell at an address, and wait for a larger one in another cell."""
     _store(cell, number)

@@ -1,4 +1,4 @@
-"""The sum that every policy gradient is made of, for a linear-softmax policy, in one pass."""
+"""The sum whose gradient is the policy gradient; for a linear-softmax policy, in one pass."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from trl_explore.numerics.linear import lane_linear
-from trl_explore.numerics.log_prob import categorical_log_prob
-from trl_explore.numerics.score_kernels import score_kernel
-from trl_explore.numerics.score_two import score_two
-from trl_explore.numerics.threads import by_trial, check_frames, fits
+from trl_explore.numerics.densities import categorical_log_prob
+from trl_explore.numerics.dispatch import check_frames, compiled, serves
+from trl_explore.numerics.layers import lane_linear
 
 NOTHING = np.zeros(0, dtype=np.bool_)
 
@@ -66,12 +64,19 @@ def linear_softmax_score(
         >>> (score / torch.tensor(0.5).log()).tolist()
         [2.0, 1.0]
     """
-    if not serves(observation, weight, advantage):
+    if not formula_serves(observation, weight, advantage):
         _check(observation, weight, action, advantage, trial)
-        logits = lane_linear(observation, weight, trial)
-        return lane_sum(categorical_log_prob(logits, action) * advantage, trial, len(weight))
+        return plain_linear_softmax_score(observation, weight, action, advantage, trial)
     score: Any = _LinearSoftmaxScore.apply(observation, weight, action, advantage, trial)
     return score
+
+
+def plain_linear_softmax_score(
+    observation: Tensor, weight: Tensor, action: Tensor, advantage: Tensor, trial: Tensor
+) -> Tensor:
+    """``linear_softmax_score`` by differentiable operations, for any device and dtype."""
+    logits = lane_linear(observation, weight, trial)
+    return lane_sum(categorical_log_prob(logits, action) * advantage, trial, len(weight))
 
 
 class _LinearSoftmaxScore(torch.autograd.Function):
@@ -93,9 +98,9 @@ class _LinearSoftmaxScore(torch.autograd.Function):
         return None, grad.reshape(-1, 1, 1) * ctx.gradient, None, None, None
 
 
-def serves(observation: Tensor, weight: Tensor, advantage: Tensor) -> bool:
-    """Whether ``linear_softmax_gradient`` does: on the CPU, in one dtype, for the weights alone."""
-    return fits(observation, weight, advantage) and not observation.requires_grad
+def formula_serves(observation: Tensor, weight: Tensor, advantage: Tensor) -> bool:
+    """Whether ``linear_softmax_gradient`` serves: compiled code does, for the weights alone."""
+    return serves(observation, weight, advantage) and not observation.requires_grad
 
 
 def linear_softmax_gradient(
@@ -105,14 +110,11 @@ def linear_softmax_gradient(
     advantage: Tensor,
     trial: Tensor,
     scale: float = 1.0,
-    into: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """S of ``linear_softmax_score`` and ∂S/∂W [trials, n_actions, n_features], without autograd.
 
-    Both are multiplied with ``scale``, in the precision of the weights. The gradient is added to
-    ``into``, which is returned, if that is given.
-
-    Arguments and errors are those of ``linear_softmax_score``, as far as ``serves`` says so.
+    Both are multiplied with ``scale``, in the precision of the weights. Arguments and errors are
+    those of ``linear_softmax_score``; ``formula_serves`` says where it may be called.
 
     Example:
         >>> x, w, one = torch.ones(1, 1), torch.zeros(1, 2, 1), torch.tensor([1])
@@ -122,11 +124,11 @@ def linear_softmax_gradient(
     """
     _check(observation, weight, action, advantage, trial)
     frames = [x.contiguous().numpy() for x in (observation, action, advantage, trial)]
-    found = _sums(frames[:3], frames[3], weight, (scale, 0), into=into)
+    found = _sums(frames[:3], frames[3], weight, scale)
     if found is None:
         order = np.argsort(frames[3], kind="stable")
-        *first, trials = (array[order] for array in frames)
-        found = _sums(first, trials, weight, (scale, 0), into=into)
+        *columns, trials = (array[order] for array in frames)
+        found = _sums(columns, trials, weight, scale)
     if found is None:
         trials, n_actions, _ = weight.shape
         raise IndexError(f"an action is not in [0, {n_actions}) or a trial not in [0, {trials})")
@@ -137,46 +139,27 @@ def _sums(
     frames: list[NDArray[Any]],
     trial: NDArray[Any],
     weight: Tensor,
-    numbers: tuple[float, float],
+    scale: float,
+    baseline: float = 0.0,
     gamma: float = 1.0,
-    into: Tensor | None = None,
 ) -> tuple[Tensor, Tensor] | None:
     """S and its gradient; None where trials do not ascend, or something is out of range.
 
-    The frames are observation, action and advantage; for two actions, reward and done may follow,
-    and no advantages be there.
+    The frames are observation, action and advantage. For two actions, reward and done may follow;
+    there are no advantages then.
     """
-    w = weight.detach().contiguous().numpy()
-    sums = np.zeros(len(w), w.dtype)
-    rows = slice(0, len(w)) if into is None else _rows(trial, len(w))
-    w, total = w[rows], sums[rows]
-    gradient = np.zeros(w.shape, w.dtype)
-    factors = np.array(numbers, w.dtype)
+    kernels, w = compiled("score"), weight.detach().contiguous().numpy()
+    total, gradient = np.zeros(len(w), w.dtype), np.zeros(w.shape, w.dtype)
+    factor = np.array([scale], w.dtype)
     if w.shape[1] == 2:
-        kernel = score_two(w.shape[2], w.dtype == np.float32)
+        kernel = kernels.score_two(w.shape[2], w.dtype == np.float32)
         frames = [*frames, np.zeros(0, w.dtype), NOTHING] if len(frames) == 3 else frames
-        shared = w, rows.start, factors, gamma, total, gradient
+        shift = np.array([baseline], w.dtype)
+        valid = kernel(*frames, trial, w, factor, shift, gamma, total, gradient)
     else:
-        kernel = score_kernel(w.shape, frames[0])
-        shared = w, rows.start, factors, total, gradient
-    if not by_trial(kernel, [*frames, trial], shared, ordered=True):
-        return None
-    slope = torch.from_numpy(gradient)
-    if into is not None:
-        into[rows].add_(slope)
-    return torch.from_numpy(sums), slope if into is None else into
-
-
-def _rows(trial: NDArray[Any], trials: int) -> slice:
-    """Where the rows of ascending trials lie: some of thousands are treated as if there were few.
-
-    All rows, if they are most of them, or the trials do not ascend.
-    """
-    if len(trial) and 0 <= trial[0] <= trial[-1] < trials:
-        first, end = int(trial[0]), int(trial[-1]) + 1
-        if 2 * (end - first) <= trials:
-            return slice(first, end)
-    return slice(0, trials)
+        kernel = kernels.score_kernel(w.shape, frames[0])
+        valid = kernel(*frames, trial, w, factor, total, gradient)
+    return (torch.from_numpy(total), torch.from_numpy(gradient)) if valid else None
 
 
 def linear_softmax_reinforce(
@@ -190,7 +173,6 @@ def linear_softmax_reinforce(
     gamma: float,
     baseline: float,
     scale: float,
-    into: Tensor | None = None,
 ) -> tuple[Tensor, Tensor] | None:
     """What ``linear_softmax_gradient`` gives for A_t = G_t − b, in one pass over the frames.
 
@@ -206,7 +188,6 @@ def linear_softmax_reinforce(
         gamma: discount γ.
         baseline: b.
         scale: a factor of S and its gradient.
-        into: what the gradient is added to, and returned, if that is given.
 
     Returns:
         S and its gradient; None where the trials do not ascend, something is out of range, or
@@ -220,7 +201,7 @@ def linear_softmax_reinforce(
     check_frames(reward.shape, done=done)
     _check(observation, weight, action, reward, trial)
     columns = [x.contiguous().numpy() for x in (observation, action, reward[:0], reward, done)]
-    return _sums(columns, trial.contiguous().numpy(), weight, (scale, baseline), gamma, into)
+    return _sums(columns, trial.contiguous().numpy(), weight, scale, baseline, gamma)
 
 
 def _check(

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
-from trl_explore.numerics.compiled import compiled
 from trl_explore.numerics.returns import return_to_go
 from trl_explore.numerics.score import lane_sum
 
@@ -208,10 +207,6 @@ def outcomes(
     return scores.reshape(-1, episodes_per_update), frames.reshape(-1, episodes_per_update)
 
 
-@compiled()
-def _whole(last, frames):
+def _whole(last: NDArray[np.int64], frames: NDArray[np.int64]) -> bool:
     """Whether every episode has as many frames as its last one counts."""
-    wrong = last[0] + 1 - frames[0]
-    for i in range(1, len(last)):
-        wrong |= last[i] - last[i - 1] - frames[i]
-    return wrong == 0
+    return bool((np.diff(last, prepend=-1) == frames).all())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, ClassVar, cast
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
@@ -13,12 +13,23 @@ from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives.common import LossModule
 
-from trl_explore.checks import check_flag, check_integer, check_number
-from trl_explore.numerics.score import linear_softmax_gradient, linear_softmax_reinforce, serves
+from trl_explore.checks import check_flag, check_integer, check_number, settle
+from trl_explore.numerics.score import (
+    formula_serves,
+    linear_softmax_gradient,
+    linear_softmax_reinforce,
+    linear_softmax_score,
+)
 from trl_explore.objectives.baselines import Baseline, Constant, as_baseline
 from trl_explore.objectives.corrections import Correction, NoCorrection, log_ratio_of
 from trl_explore.objectives.episodes import Episodes, entry, read_episodes
-from trl_explore.policies.actor import frame_distribution, frame_log_prob, linear_weight, score_sum
+from trl_explore.policies import LinearPolicy
+from trl_explore.policies.actor import (
+    frame_distribution,
+    frame_log_prob,
+    has_linear_softmax,
+    score_sum,
+)
 from trl_explore.strategies import BaseStrategy
 
 REDUCTIONS = ("sum", "mean", "none")
@@ -108,10 +119,17 @@ class ReinforceLoss(LossModule):
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
     out_keys = ["loss_actor", "trial_loss"]  # noqa: RUF012  # pyright: ignore
+    closed_form: ClassVar[bool] = True
+    """Whether ``backward`` may take a formula in place of ``forward`` and autograd. False in a
+    class that overrides ``forward``, unless the class says otherwise."""
 
     actor_network: ProbabilisticTensorDictSequential
     actor_network_params: TensorDictParams
     target_actor_network_params: TensorDictParams
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        settle(cls, "closed_form", False, ["forward"])
 
     def __init__(
         self,
@@ -144,6 +162,9 @@ class ReinforceLoss(LossModule):
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}")
         self.reduction = reduction
+        self._weight_key = linear_weight_key(actor_network)
+        apart = self.entropy_coeff > 0 or reduction == "mean"
+        self._has_closed_form = self.closed_form and self._weight_key is not None and not apart
         if functional:
             self.convert_to_functional(actor_network, "actor_network", create_target_params=False)
         else:
@@ -181,7 +202,12 @@ class ReinforceLoss(LossModule):
         action = entry(frames, self.tensor_keys.action)
         with self._with_parameters():
             factor = self._factor(episodes, action)
-            score = score_sum(self.actor_network, frames, action, factor, trial, trials)
+            weight = self._linear_weight(episodes)
+            if weight is None:
+                score = score_sum(self.actor_network, frames, action, factor, trial, trials)
+            else:
+                observation = frames.get("observation")
+                score = linear_softmax_score(observation, weight, action, factor, trial)
             trial_loss = score * -self.weight
             if self.entropy_coeff:
                 entropy: Tensor = frame_distribution(self.actor_network, frames).entropy()
@@ -196,60 +222,63 @@ class ReinforceLoss(LossModule):
     def backward(self, tensordict: TensorDictBase) -> Tensor:
         """Add the gradients of the losses to those of the parameters, and return "trial_loss".
 
-        The losses are called and differentiated, those of trials not reduced by their sum. Where π
-        is the softmax of a linear policy its gradient is known without a graph, and that takes a
-        part of the time; it is the same one, bit for bit.
+        What is differentiated is the sum of all losses. Where π is the softmax of a linear policy
+        its gradient has a closed formula, which takes a fraction of autograd's time and gives the
+        same bits. Which of the two serves is decided when the loss is built: hooks of the policy
+        and of its weights are called if they are registered before that.
         """
-        trial_loss = self._without_graph(tensordict)
-        if trial_loss is None:
-            losses = self(tensordict)
-            total = losses.get("loss_actor").sum()
-            value_loss = losses.get("loss_value", None)
-            (total if value_loss is None else total + value_loss.sum()).backward()
-            trial_loss = losses.get("trial_loss")
-        return trial_loss
+        found = self._closed_form(tensordict) if self._has_closed_form else None
+        if found is not None:
+            return found
+        losses = self.forward(tensordict)
+        total = losses.get("loss_actor").sum()
+        value_loss = losses.get("loss_value", None)
+        (total if value_loss is None else total + value_loss.sum()).backward()
+        return losses.get("trial_loss")
 
-    def _without_graph(self, tensordict: TensorDictBase) -> Tensor | None:
-        """``backward`` where the gradient has a formula; None, and nothing is done, elsewhere."""
-        if self.entropy_coeff or self.reduction == "mean":
-            return None
-        hooked = self._forward_hooks or len(self._forward_pre_hooks) > 1  # one is LossModule's own
-        if hooked or type(self).forward is not ReinforceLoss.forward:  # the loss is something else
-            return None
+    def _closed_form(self, tensordict: TensorDictBase) -> Tensor | None:
+        """``backward`` without a graph; None where the formula does not serve these data."""
         episodes, _ = self._episodes(tensordict)
-        frames, actor, baseline = episodes.tensordict, self.actor_network, self.baseline
-        with self._with_parameters():
-            weight = linear_weight(actor, frames, episodes.trials)
-            if weight is None or not (weight.requires_grad and weight.is_leaf):
-                return None
-            if weight._backward_hooks or weight._post_accumulate_grad_hooks:
-                return None
-            observation, action = frames.get("observation"), entry(frames, self.tensor_keys.action)
-            if not serves(observation, weight, episodes.reward):
-                return None
-            found, scale, trial = None, -self.weight, episodes.trial
-            if type(baseline) is Constant and self._is_return_alone():
-                found = linear_softmax_reinforce(
-                    observation, weight, action, episodes.reward, episodes.done, trial,
-                    gamma=self.gamma, baseline=baseline.value, scale=scale, into=weight.grad,
-                )  # fmt: skip
-            if found is None:
+        frames, trial = episodes.tensordict, episodes.trial
+        weight = self._linear_weight(episodes)
+        if weight is None or not weight.requires_grad:
+            return None
+        observation, action = frames.get("observation"), entry(frames, self.tensor_keys.action)
+        if not formula_serves(observation, weight, episodes.reward):
+            return None
+        found, scale, baseline = None, -self.weight, self.baseline
+        if isinstance(baseline, Constant) and self._is_return_alone():
+            found = linear_softmax_reinforce(
+                observation, weight, action, episodes.reward, episodes.done, trial,
+                gamma=self.gamma, baseline=baseline.value, scale=scale,
+            )  # fmt: skip
+        if found is None:
+            with self._with_parameters():
                 factor = self._factor(episodes, action)
-                if not serves(observation, weight, factor):
-                    return None
-                found = linear_softmax_gradient(
-                    observation, weight, action, factor, trial, scale, weight.grad
-                )
-        trial_loss, weight.grad = found
+            if not formula_serves(observation, weight, factor):
+                return None
+            found = linear_softmax_gradient(observation, weight, action, factor, trial, scale)
+        trial_loss, gradient = found
+        weight.grad = gradient if weight.grad is None else weight.grad.add_(gradient)
         value_loss = baseline.loss(episodes)
         if value_loss is not None:
             value_loss.sum().backward()
         return trial_loss
 
+    def _linear_weight(self, episodes: Episodes) -> Tensor | None:
+        """W [trials, n_actions, n_features] of a linear softmax; None where a mask changes π."""
+        if self._weight_key is None or "action_mask" in episodes.tensordict:
+            return None
+        if self.functional:
+            weight = self.actor_network_params.get(self._weight_key)
+        else:
+            weight = cast(LinearPolicy, self.actor_network[0]).weight
+        return weight if len(weight) == episodes.trials else None
+
     def _is_return_alone(self) -> bool:
         """Whether the factor of ∇log π is the return less the baseline, and no more."""
         more = self.discount_steps or self.normalize_advantage
-        return type(self.correction) is NoCorrection and not more
+        return self.correction.leaves_returns and not more
 
     def advantage(self, tensordict: TensorDictBase) -> Tensor:
         """The factor of ∇log π(a_t|s_t) for every frame, in the shape of the data [*batch].
@@ -269,12 +298,11 @@ class ReinforceLoss(LossModule):
     @property
     def divisible(self) -> bool:
         """Whether some trials' losses need no others' data; what learns in ``step`` needs all."""
-        learns = type(self.baseline).step is not Baseline.step
-        return not (self.trials is None or learns or type(self).step is not ReinforceLoss.step)
+        return not (self.trials is None or self.baseline.learns_from_data)
 
     def step(self, tensordict: TensorDictBase) -> None:
         """Let the baseline learn from an iteration's data: once, after the update."""
-        if type(self.baseline).step is not Baseline.step:
+        if self.baseline.learns_from_data:
             self.baseline.step(self._episodes(tensordict)[0])
 
     @torch.no_grad()
@@ -309,3 +337,16 @@ class ReinforceLoss(LossModule):
         if self.reduction == "sum":
             return trial_loss.sum()
         return trial_loss.mean() if self.reduction == "mean" else trial_loss
+
+
+def linear_weight_key(actor: ProbabilisticTensorDictSequential) -> tuple[str, ...] | None:
+    """Where W is among the parameters of a linear softmax; None if the formula does not serve.
+
+    That is the case for another π, and where hooks of the gradient are registered.
+    """
+    if not has_linear_softmax(actor):
+        return None
+    weight = cast(LinearPolicy, actor[0]).weight
+    if weight._backward_hooks or weight._post_accumulate_grad_hooks:
+        return None
+    return next(tuple(n.split(".")) for n, p in actor.named_parameters() if p is weight)

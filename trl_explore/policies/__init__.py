@@ -2,9 +2,8 @@
 
 from trl_explore.policies.gaussian import GaussianLinearPolicy, GaussianMLPPolicy, LaneGaussian
 from trl_explore.policies.initial import INITS, glorot_uniform, initial_weights
-from trl_explore.policies.linear import LinearPolicy, TabularPolicy
-from trl_explore.policies.mlp import MLPPolicy
 from trl_explore.policies.policy import LaneLinear, LaneMLP, n_actions, n_dims, n_features
+from trl_explore.policies.softmax import LinearPolicy, MLPPolicy, TabularPolicy
 
 __all__ = [
     "INITS",

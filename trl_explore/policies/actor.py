@@ -12,15 +12,13 @@ from tensordict.nn import (
     ProbabilisticTensorDictSequential,
     TensorDictModule,
 )
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import Categorical as TorchCategorical
 from torch.distributions import Distribution
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 
-from trl_explore.numerics.gaussian import gaussian_entropy, gaussian_log_prob
-from trl_explore.numerics.log_prob import categorical_log_prob
-from trl_explore.numerics.score import lane_sum, linear_softmax_score
-from trl_explore.policies import LaneLinear, LinearPolicy
+from trl_explore.numerics.densities import categorical_log_prob, gaussian_entropy, gaussian_log_prob
+from trl_explore.numerics.score import lane_sum
 from trl_explore.policies.policy import has_hooks
 
 
@@ -206,28 +204,16 @@ def score_sum(
     Raises:
         ValueError: if the actor gives more than one log-probability per frame.
     """
-    weight = linear_weight(actor, tensordict, trials)
-    if weight is not None:
-        observation = tensordict.get("observation")
-        return linear_softmax_score(observation, weight, action, advantage, trial)
     log_prob = frame_log_prob(actor, tensordict, action)
     return lane_sum(log_prob * advantage, trial, trials)
 
 
-def linear_weight(
-    actor: ProbabilisticTensorDictSequential, tensordict: TensorDictBase, trials: int
-) -> nn.Parameter | None:
-    """W [trials, n_actions, n_features], where π = softmax(W[trial] observation), without a mask.
+def has_linear_softmax(actor: ProbabilisticTensorDictSequential) -> bool:
+    """Whether π = softmax(W[trial] observation), of which the gradient has a closed formula.
 
-    None: π is something else.
+    A policy declares it in ``linear_softmax``; forward hooks may change what it writes.
     """
-    if not isinstance(actor, SoftmaxActor) or actor.masked or "action_mask" in tensordict:
-        return None
+    if not isinstance(actor, SoftmaxActor) or actor.masked:
+        return False
     policy = actor[0]
-    if not isinstance(policy, LinearPolicy) or type(policy).forward is not LinearPolicy.forward:
-        return None
-    module: Any = policy.module
-    if type(module) is not LaneLinear or module.bias is not None or has_hooks(policy):
-        return None  # it is more than W x
-    weight = policy.weight
-    return weight if len(weight) == trials else None
+    return getattr(policy, "linear_softmax", False) and not has_hooks(policy)

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torchrl.envs import EnvBase
 
 from trl_explore.checks import check_flag, check_number
-from trl_explore.numerics.linear import lane_linear
+from trl_explore.numerics.layers import lane_linear
 from trl_explore.policies.policy import LaneLinear, LaneMLP, n_dims, n_features
 
 LARGEST_LOG = 20.0

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
-import gymnasium as gym
 import torch
 from torch import Tensor, nn
 from torchrl.data import Bounded, Categorical, Unbounded
 from torchrl.envs import EnvBase
 
-from trl_explore.envs import lane_env
-from trl_explore.numerics.activation import activate, check_activation
-from trl_explore.numerics.linear import lane_linear
+from trl_explore.numerics.layers import activate, check_activation, lane_linear
 from trl_explore.policies.initial import initial_weights
+
+if TYPE_CHECKING:
+    import gymnasium as gym
 
 
 def n_actions(env: EnvBase) -> int:
@@ -48,6 +48,10 @@ def n_features(env: EnvBase) -> int:
 
 def observation_space(env: EnvBase) -> gym.Space:
     """The observation space of an environment of ``make_env``, before that made a vector of it."""
+    import gymnasium as gym
+
+    from trl_explore.envs import lane_env
+
     lane = lane_env(env).envs[0]
     if isinstance(lane, gym.wrappers.DtypeObservation):
         lane = lane.env
@@ -58,7 +62,9 @@ def observation_space(env: EnvBase) -> gym.Space:
 
 def is_one_hot(env: EnvBase) -> bool:
     """Whether the observations are one-hot states."""
-    return isinstance(observation_space(env), gym.spaces.Discrete)
+    from gymnasium.spaces import Discrete
+
+    return isinstance(observation_space(env), Discrete)
 
 
 def has_hooks(module: nn.Module) -> bool:

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 from torchrl.data.tensor_specs import ContinuousBox
 
-from trl_explore.numerics.gaussian import gaussian_log_prob
+from trl_explore.numerics.densities import gaussian_log_prob
 from trl_explore.strategies.schedules import Value
 from trl_explore.strategies.strategy import BaseStrategy, check_trials, exploring, rows
 
@@ -182,7 +182,7 @@ class ContinuousMixtureStrategy(ContinuousStrategy):
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
     ) -> None:
-        """Learn whom the strategy serves."""
+        """Learn which policy the strategy serves."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
         check_trials(trials, *self.mixture())
 

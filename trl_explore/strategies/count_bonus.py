@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from trl_explore.checks import check_integer
-from trl_explore.numerics.linear import lane_linear
+from trl_explore.numerics.layers import lane_linear
 from trl_explore.numerics.streams import Stream, generator
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy, rows
 from trl_explore.strategies.schedules import Schedule, as_schedule

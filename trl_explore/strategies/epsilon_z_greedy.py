@@ -81,7 +81,7 @@ class EpsilonZGreedy(Strategy):
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
     ) -> None:
-        """Learn whom the strategy serves."""
+        """Learn which policy the strategy serves."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
         check_trials(trials, self.epsilon(self.iteration))
         self._reset(trials)

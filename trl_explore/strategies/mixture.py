@@ -6,13 +6,14 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from functools import reduce
 from operator import add
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from trl_explore.checks import settle
 from trl_explore.strategies.schedules import Schedule, Value, as_schedule
 from trl_explore.strategies.strategy import Strategy, rows
 
@@ -37,7 +38,19 @@ class MixtureStrategy(Strategy):
     with A* the actions of largest logit (ties share) and n the number of actions that the mask
     allows. A subclass states the weights and T for the current iteration in ``mixture``; that is
     all that a collector needs that compiles the strategy.
+
+    Attributes:
+        compilable: whether ``mixture`` and ``behaviour_parameters`` say all of μ, so that a
+            collector may compile the strategy. False in a class that overrides one of the methods
+            ``REPLACED``, which compiled code does not call, unless the class says otherwise.
     """
+
+    REPLACED = ("forward", "explore", "preferences", "probs")
+    compilable: ClassVar[bool] = True
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        settle(cls, "compilable", False, cls.REPLACED)
 
     @abstractmethod
     def mixture(self) -> Mixture:
@@ -46,7 +59,7 @@ class MixtureStrategy(Strategy):
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
     ) -> None:
-        """Learn whom the strategy serves."""
+        """Learn which policy the strategy serves."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
         self.checked_mixture(trials)
 
@@ -76,7 +89,7 @@ class MixtureStrategy(Strategy):
     def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
         """The parameters with which the policy's logits are the strategy's ``preferences``.
 
-        A strategy with other preferences can be compiled only if it states such parameters here.
+        A strategy with other ``preferences`` is compilable only if it states such parameters here.
 
         Args:
             parameters: parameters of the target policy that ``bind`` was given.

@@ -54,7 +54,7 @@ class ParameterNoise(MixtureStrategy):
         ValueError: if an argument is out of range, or the policy's parameters are of another form.
     """
 
-    episodic = True
+    compilable = True  # its preferences are the logits of ``behaviour_parameters``
 
     def __init__(
         self,

@@ -14,6 +14,8 @@ from torch import Tensor
 from torchrl.data import Categorical, Composite, OneHot, TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
 
+from trl_explore.checks import settle
+
 
 class BaseStrategy(TensorDictModuleBase):
     """A behaviour policy μ(·|s) made from what a target policy writes.
@@ -30,6 +32,11 @@ class BaseStrategy(TensorDictModuleBase):
             in every iteration.
         noise_size: how many uniform numbers it uses for each frame; where more than one, "noise"
             is [*batch, noise_size].
+        learns_from_data: whether ``step`` learns from the frames of an iteration, and must get
+            them. True in a class that overrides ``step``, unless the class says otherwise.
+        per_episode: whether ``begin`` prepares every episode, so that ``preferences`` and ``probs``
+            are those of the last episode of an iteration. True in a class that overrides ``begin``,
+            unless the class says otherwise.
 
     Args:
         in_keys: the entries that it reads.
@@ -41,6 +48,13 @@ class BaseStrategy(TensorDictModuleBase):
     exact = True
     differentiable = False
     noise_size = 1
+    learns_from_data: ClassVar[bool] = False
+    per_episode: ClassVar[bool] = False
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        settle(cls, "learns_from_data", True, ["step"])
+        settle(cls, "per_episode", True, ["begin"])
 
     def __init__(self, in_keys: list[NestedKey], *, action_key: NestedKey, seed: int) -> None:
         super().__init__()
@@ -70,7 +84,7 @@ class BaseStrategy(TensorDictModuleBase):
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
     ) -> None:
-        """Learn whom the strategy serves: called once, by the collector.
+        """Learn which policy the strategy serves: called once, by the collector.
 
         Args:
             policy: the target policy.
@@ -168,7 +182,7 @@ class Strategy(BaseStrategy):
     Writes "action" ([*batch] int64, or one-hot [*batch, n_actions] under a ``OneHot`` spec) and
     "action_log_prob" [*batch] (nats, under μ).
 
-    Nothing here knows of trials, CartPole or REINFORCE: behind any TorchRL module that writes
+    Nothing here knows of trials, CartPole or REINFORCE: after any TorchRL module that writes
     logits or action values, the module serves any TorchRL project (``logits_key="action_value"``).
     A collector of this package tells it more: ``bind`` once, ``begin`` before every episode,
     ``step`` after every update.
@@ -179,8 +193,6 @@ class Strategy(BaseStrategy):
         differentiable: whether ``probs`` is differentiable in the logits, in every iteration.
         noise_size: how many uniform numbers it uses for each frame; where more than one, "noise"
             is [*batch, noise_size].
-        episodic: whether μ changes with every episode, so that behind an iteration of several
-            episodes ``preferences`` and ``probs`` are those of the last one only.
 
     Args:
         spec: the action spec (``Categorical`` or ``OneHot``, also in a ``Composite``); None means
@@ -195,7 +207,6 @@ class Strategy(BaseStrategy):
     """
 
     actions = "discrete"
-    episodic: ClassVar[bool] = False
 
     def __init__(
         self,

@@ -114,7 +114,7 @@ class Diagnostics:
             return found
         log_prob = log_pi.gather(-1, data.get("action").unsqueeze(-1)).squeeze(-1)
         found |= _ratios(episodes, log_prob.double() - behaviour.double())
-        if self.strategy.episodic and bool((episodes.episodes_of_trial > 1).any()):
+        if self.strategy.per_episode and bool((episodes.episodes_of_trial > 1).any()):
             return found
         logits = self.strategy.preferences(data, log_pi)
         log_mu = self.strategy.probs(logits, episodes.trial).log()

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.checks import check_integer, check_number
-from trl_explore.numerics import borrow as borrow_module
-from trl_explore.numerics.borrow import borrow
-from trl_explore.numerics.compiled import compiled
+from trl_explore.numerics.compiled import arrays
+from trl_explore.numerics.compiled.arrays import borrow
+from trl_explore.numerics.compiled.cache import compiled
 
 STATUSES = np.array(["active", "converged", "capped", "diverged"])
 ACTIVE, CONVERGED, CAPPED, DIVERGED = range(4)
@@ -220,7 +220,7 @@ _ROWS = ("iterations", "frames", "seconds", "score", "_episode_score", "_window"
 """What ``_enter`` changes, all with an entry for each trial."""
 
 
-@compiled(borrow_module)
+@compiled(arrays)
 def _enter(
     trial, scores, counts, first, filled, now, iterations, frames, seconds, score, episode_score,
     window, window_sum,

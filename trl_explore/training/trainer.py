@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
 from trl_explore.collectors import EpisodeCollector
-from trl_explore.numerics.clock import clock
+from trl_explore.numerics.compiled.cache import clock
 from trl_explore.objectives.episodes import outcomes
-from trl_explore.strategies import BaseStrategy
 from trl_explore.training.diagnostics import Diagnostics
 from trl_explore.training.evaluation import Evaluator
 from trl_explore.training.optimizers import TrialOptimizer, Views, all_finite
@@ -177,7 +176,7 @@ class Trainer:
 
     def _divisible(self) -> bool:
         """Whether an iteration may be taken block by block."""
-        learns = type(self.collector.strategy).step is not BaseStrategy.step
+        learns = self.collector.strategy.learns_from_data
         return self.loss.divisible and self.diagnostics is None and not learns
 
     def _evaluate(self, active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:

@@ -37,7 +37,7 @@ from trl_explore.envs.kernels import Kernel, kernel_of
 from trl_explore.numerics.crew import together
 from trl_explore.numerics.streams import Stream, key
 from trl_explore.policies.policy import is_one_hot
-from trl_explore.strategies import BaseStrategy, MixtureStrategy, Strategy
+from trl_explore.strategies import MixtureStrategy
 
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
 TRANSFORMS = (StepCounter, RewardSum)
@@ -80,7 +80,7 @@ class FusedCollector(EpisodeCollector):
     ) -> None:
         super().__init__(env, policy, exploration_type=exploration_type, **options)
         self.kernel, self.network, self._parameters = compilable(env, policy)
-        if self.episodes_per_update > 1 and type(self.strategy).begin is not BaseStrategy.begin:
+        if self.episodes_per_update > 1 and self.strategy.per_episode:
             name = type(self.strategy).__name__
             raise NotCompilableError(f"{name} prepares for every episode, and there are several")
         masked = has_mask(env)
@@ -232,16 +232,14 @@ def check_strategy(strategy: Any) -> None:
     Raises:
         NotCompilableError: with the reason.
     """
-    kind, name = type(strategy), type(strategy).__name__
+    name = type(strategy).__name__
     if not isinstance(strategy, MixtureStrategy):
         raise NotCompilableError(f"{name} is not a mixture of argmax, softmax and uniform")
-    if kind.probs is not MixtureStrategy.probs or kind.forward is not Strategy.forward:
-        raise NotCompilableError(f"{name} changes probs or forward")
-    if kind.explore is not Strategy.explore:
-        raise NotCompilableError(f"{name} draws its actions in a way of its own")
-    unstated = kind.behaviour_parameters is MixtureStrategy.behaviour_parameters
-    if kind.preferences is not Strategy.preferences and unstated:
-        raise NotCompilableError(f"{name} changes the logits, and not by the parameters")
+    if not strategy.compilable:
+        raise NotCompilableError(
+            f"{name} changes one of {', '.join(MixtureStrategy.REPLACED)}, "
+            "and does not declare itself compilable"
+        )
     keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
     if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
         raise NotCompilableError(f"{name} has a one-hot action or renamed entries")

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-from trl_explore.numerics.borrow import one_by_one
-from trl_explore.numerics.philox import philox_block, to_unit
+from trl_explore.numerics.compiled.arrays import one_by_one
+from trl_explore.numerics.compiled.philox import philox_block, to_unit
 
 LANES = 64
 """How many episodes are stepped side by side."""

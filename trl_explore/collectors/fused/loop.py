@@ -42,19 +42,16 @@ from trl_explore.collectors.fused.mixing import compile_mixing, load_point
 from trl_explore.collectors.fused.networks import Network, compile_network
 from trl_explore.collectors.fused.scratch import Scratch, compile_deliver, is_narrow, row_of
 from trl_explore.envs.kernels import Kernel
-from trl_explore.envs.kernels import kernel as base
-from trl_explore.envs.kernels.kernel import kernel_function
-from trl_explore.numerics import activation, exponential, linear, philox
 from trl_explore.numerics import bell as bell_module
-from trl_explore.numerics import borrow as borrow_module
 from trl_explore.numerics.bell import ring
-from trl_explore.numerics.borrow import borrow, lane, on_stack
-from trl_explore.numerics.compiled import compiled
-from trl_explore.numerics.philox import STATE_SIZE, begin
+from trl_explore.numerics.compiled import arrays, elementary, layers, philox
+from trl_explore.numerics.compiled.arrays import borrow, lane, on_stack
+from trl_explore.numerics.compiled.cache import compiled, kernel_function
+from trl_explore.numerics.compiled.philox import STATE_SIZE, begin
 
 INLINED = (
-    *(lanes_module, scratch_module, mixing, networks, base, borrow_module, philox),
-    *(activation, bell_module, exponential, linear),
+    *(lanes_module, scratch_module, mixing, networks),
+    *(arrays, bell_module, elementary, layers, philox),
 )
 """The modules that are compiled into the loop, besides this one and the kernel's own."""
 

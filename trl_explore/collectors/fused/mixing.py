@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from trl_explore.envs.kernels.kernel import kernel_function
-from trl_explore.numerics.exponential import exp32
+from trl_explore.numerics.compiled.cache import kernel_function
+from trl_explore.numerics.compiled.elementary import exp32
 
 _TINY, _HUGE = np.float32(np.finfo(np.float32).tiny), np.float32(np.finfo(np.float32).max)
 _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)

@@ -13,10 +13,9 @@ import numpy as np
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
-from trl_explore.envs.kernels.kernel import kernel_function
-from trl_explore.numerics.activation import relu32, tanh32
-from trl_explore.numerics.borrow import borrow
-from trl_explore.numerics.linear import WIDE, accumulate
+from trl_explore.numerics.compiled.arrays import borrow
+from trl_explore.numerics.compiled.cache import kernel_function
+from trl_explore.numerics.compiled.layers import WIDE, accumulate, relu32, tanh32
 from trl_explore.policies import LaneLinear, LaneMLP, LinearPolicy, MLPPolicy, TabularPolicy
 from trl_explore.policies.policy import has_hooks
 

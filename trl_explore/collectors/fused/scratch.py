@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from trl_explore.collectors.fused.lanes import FRAME, LANES
 from trl_explore.collectors.fused.networks import Network
 from trl_explore.envs.kernels import Kernel
-from trl_explore.envs.kernels.kernel import kernel_function
-from trl_explore.numerics.borrow import borrow
-from trl_explore.numerics.exponential import log32
+from trl_explore.numerics.compiled.arrays import borrow
+from trl_explore.numerics.compiled.cache import kernel_function
+from trl_explore.numerics.compiled.elementary import log32
 
 GROUP = 2 * LANES
 """How many episodes follow each other through the lanes before they go to the data."""

@@ -48,15 +48,21 @@ What the functions are given and owe:
   ``tabular(env.P, env.initial_state_distrib)``.
 * Dozens of episodes are stepped side by side. Where ``step`` and ``observe`` neither branch nor
   call a library, the loop over them becomes vector instructions, several times as fast
-  (``a if c else b`` of two numbers is no branch; ``small_angles.cos_sin`` serves for |x| <= 0.85).
+  (``a if c else b`` of two numbers is no branch; ``elementary.cos_sin`` serves for |x| <= 0.85).
 * The maker may refuse an instance with ``LookupError("why")``; the TorchRL collector then serves.
 """
 
 from trl_explore.envs.kernels import acrobot, cartpole, mountain_car, toy_text
-from trl_explore.envs.kernels.check import CompiledEnv, check_kernel
-from trl_explore.envs.kernels.kernel import Kernel, kernel_function, kernel_of, register_kernel
+from trl_explore.envs.kernels.kernel import (
+    CompiledEnv,
+    Kernel,
+    check_kernel,
+    kernel_of,
+    register_kernel,
+)
 from trl_explore.envs.kernels.toy_text import tabular
-from trl_explore.numerics.philox import random
+from trl_explore.numerics.compiled.cache import kernel_function
+from trl_explore.numerics.compiled.philox import random
 
 __all__ = [
     "CompiledEnv",

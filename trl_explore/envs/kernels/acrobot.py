@@ -10,9 +10,10 @@ import math
 import numpy as np
 from gymnasium.envs.classic_control.acrobot import AcrobotEnv
 
-from trl_explore.envs.kernels.kernel import Kernel, kernel_function, register_kernel
-from trl_explore.numerics.float32 import cos32, sin32
-from trl_explore.numerics.philox import random
+from trl_explore.envs.kernels.kernel import Kernel, register_kernel
+from trl_explore.numerics.compiled.cache import kernel_function
+from trl_explore.numerics.compiled.elementary import cos32, sin32
+from trl_explore.numerics.compiled.philox import random
 
 
 @kernel_function

@@ -6,10 +6,11 @@ import math
 
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 
-from trl_explore.envs.kernels.kernel import Kernel, kernel_function, register_kernel
-from trl_explore.numerics import small_angles
-from trl_explore.numerics.philox import random
-from trl_explore.numerics.small_angles import cos_sin
+from trl_explore.envs.kernels.kernel import Kernel, register_kernel
+from trl_explore.numerics.compiled import elementary
+from trl_explore.numerics.compiled.cache import kernel_function
+from trl_explore.numerics.compiled.elementary import cos_sin
+from trl_explore.numerics.compiled.philox import random
 
 
 @kernel_function
@@ -21,7 +22,7 @@ def reset(parameters, state, rng):
 
 @kernel_function
 def step(parameters, state, action, rng):
-    """One step, where no episode goes on beyond |θ| of ``small_angles.LIMIT``."""
+    """One step, where no episode goes on beyond |θ| of ``MAX_ANGLE``."""
     cos, sin = cos_sin(state[2])
     return advance(parameters, state, action, cos, sin)
 
@@ -84,6 +85,6 @@ def cartpole(env: CartPoleEnv) -> Kernel:
         0.0 if sutton_barto else 1.0,
         -1.0 if sutton_barto else 1.0,
     )
-    small = env.theta_threshold_radians <= small_angles.LIMIT and small_angles.agree()
+    small = env.theta_threshold_radians <= elementary.MAX_ANGLE and elementary.agree()
     by = step if small else step_at_any_angle
     return Kernel(reset, by, observe, parameters, state_size=4, n_features=4, n_actions=2)

@@ -6,8 +6,9 @@ import math
 
 from gymnasium.envs.classic_control.mountain_car import MountainCarEnv
 
-from trl_explore.envs.kernels.kernel import Kernel, kernel_function, register_kernel
-from trl_explore.numerics.philox import random
+from trl_explore.envs.kernels.kernel import Kernel, register_kernel
+from trl_explore.numerics.compiled.cache import kernel_function
+from trl_explore.numerics.compiled.philox import random
 
 
 @kernel_function

@@ -15,8 +15,9 @@ from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 from gymnasium.envs.toy_text.taxi import TaxiEnv
 from numpy.typing import NDArray
 
-from trl_explore.envs.kernels.kernel import Function, Kernel, kernel_function, register_kernel
-from trl_explore.numerics.philox import random
+from trl_explore.envs.kernels.kernel import Function, Kernel, register_kernel
+from trl_explore.numerics.compiled.cache import kernel_function
+from trl_explore.numerics.compiled.philox import random
 
 Outcomes = Sequence[tuple[float, int, float, bool]]
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Any, ClassVar, final
 
 from torch import Tensor, nn
 from torchrl.envs import EnvBase
 
-from trl_explore.checks import check_number
+from trl_explore.checks import check_number, settle
 from trl_explore.objectives.episodes import Episodes
 
 
@@ -20,10 +21,19 @@ class Baseline(nn.Module, ABC):
     never contains the return of the frame itself.
 
     State is kept in buffers, in parameters, or in ``get_extra_state`` as plain arrays.
+
+    Attributes:
+        learns_from_data: whether ``step`` learns from the episodes of an iteration. True in a class
+            that overrides ``step``, unless the class says otherwise.
     """
 
+    learns_from_data: ClassVar[bool] = False
     lr: float | None = None
     """The learning rate of the baseline's own parameters, if it has any."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        settle(cls, "learns_from_data", True, ["step"])
 
     def bind(self, env: EnvBase) -> None:
         """Learn for which environment and how many trials it is; called before training."""
@@ -40,6 +50,7 @@ class Baseline(nn.Module, ABC):
         """Learn from the episodes of an iteration, after its update."""
 
 
+@final
 class Constant(Baseline):
     """b_t = value, one number for all frames; 0 in the thesis.
 
@@ -64,7 +75,7 @@ class EpisodeMean(Baseline):
     """b_t = mean of G_j over the frames j of the same episode.
 
     Biased: the mean contains G_t itself, and rewards that a_t led to. What it takes from the
-    gradient has not the mean 0.
+    gradient does not have mean 0.
 
     Example:
         >>> import torch

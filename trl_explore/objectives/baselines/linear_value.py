@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torchrl.envs import EnvBase
 
 from trl_explore.checks import check_number
-from trl_explore.numerics.linear import lane_linear
+from trl_explore.numerics.layers import lane_linear
 from trl_explore.objectives.baselines.baseline import Baseline
 from trl_explore.objectives.episodes import Episodes
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
-from trl_explore.checks import check_flag, check_number
+from trl_explore.checks import check_flag, check_number, settle
 from trl_explore.numerics.score import lane_sum
 from trl_explore.objectives.episodes import Episodes
 from trl_explore.strategies import BaseStrategy
@@ -28,6 +28,13 @@ class NoCorrection:
 
     needs_log_prob: ClassVar[bool] = False
     """Whether it needs log μ(a|s), in "action_log_prob"."""
+    leaves_returns: ClassVar[bool] = True
+    """Whether ``advantage`` is G_t − b_t and no more. False in a class that overrides it, unless
+    the class says otherwise."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        settle(cls, "leaves_returns", False, ["advantage"])
 
     def actor(
         self, actor: ProbabilisticActor, strategy: BaseStrategy | None = None

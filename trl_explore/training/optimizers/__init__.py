@@ -1,20 +1,16 @@
 """Optimisers whose lanes never mix: a stopped trial's weights and momentum stay as they were."""
 
 from trl_explore.training.optimizers.adam import LaneAdam
-from trl_explore.training.optimizers.by_name import (
+from trl_explore.training.optimizers.optimizer import (
     COUPLING,
     ELEMENTWISE,
-    adam,
-    torch_adam,
-    torch_optimizer,
-)
-from trl_explore.training.optimizers.optimizer import (
     LaneOptimizer,
     Parameters,
     TrialOptimizer,
     Views,
     all_finite,
     grouped,
+    torch_optimizer,
 )
 
 __all__ = [
@@ -25,9 +21,7 @@ __all__ = [
     "Parameters",
     "TrialOptimizer",
     "Views",
-    "adam",
     "all_finite",
     "grouped",
-    "torch_adam",
     "torch_optimizer",
 ]

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba as nb
 import numpy as np
 import torch
 from torch import Tensor
 
 from trl_explore.checks import check_number
+from trl_explore.numerics.compiled.cache import compiled
 from trl_explore.training.optimizers.optimizer import Parameters, Views, grouped
 
 
@@ -106,8 +106,9 @@ class LaneAdam:
                 own.copy_(state[name][str(i)])
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@compiled()
 def _adam(active, p, m, v, gradient, beta1, beta2, eps, step_size, correction):
+    """A step of the active rows; twin: ``torch.optim.Adam``."""
     numbers = np.array([1 - beta1, beta2, 1 - beta2, eps, step_size, correction]).astype(p.dtype)
     p, m, v, gradient = p.reshape(-1), m.reshape(-1), v.reshape(-1), gradient.reshape(-1)
     size_of_row = len(p) // len(active)
@@ -121,7 +122,7 @@ def _adam(active, p, m, v, gradient, beta1, beta2, eps, step_size, correction):
         row = end + 1
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@compiled()
 def _advance(p, m, v, gradient, numbers):
     """A step of rows that follow each other."""
     gain1, keep2, gain2 = numbers[0], numbers[1], numbers[2]

@@ -1,10 +1,11 @@
-"""What the trainer needs of an optimiser, and parameters in groups."""
+"""What the trainer needs of an optimiser, and the optimisers of torch by name, over lanes."""
 
 # numba rewrites signatures:
 # pyright: reportCallIssue=false
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol, cast
 
@@ -14,7 +15,7 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from trl_explore.checks import check_number
-from trl_explore.numerics.compiled import compiled
+from trl_explore.numerics.compiled.cache import compiled
 
 Parameters = Iterable[nn.Parameter] | Iterable[Mapping[str, Any]]
 """Parameters, or groups of them as torch's optimisers take them: {"params": [...], "lr": 1.0}."""
@@ -100,6 +101,7 @@ def all_finite(rows: NDArray[Any]) -> bool:
 
 @compiled()
 def _all_finite(x):
+    """Whether all numbers are finite; twin: ``numpy.isfinite(x).all()``."""
     broken = 0
     for i in range(len(x)):  # no early exit, so that it becomes vector instructions
         broken += (x[i] - x[i]) != 0
@@ -113,7 +115,7 @@ class LaneOptimizer:
     rows of the parameters and of the optimiser's state are put back as they were.
 
     Args:
-        factory: parameters -> optimiser, such as ``functools.partial(adam, lr=0.05)``.
+        factory: parameters -> optimiser, such as ``functools.partial(torch.optim.SGD, lr=0.05)``.
         parameters: each with the trials as dimension 0; or groups of them, as torch takes them.
     """
 
@@ -168,3 +170,63 @@ class LaneOptimizer:
                 name: value.clone() if isinstance(value, Tensor) else value
                 for name, value in state[str(i)].items()
             }
+
+
+ELEMENTWISE = (
+    *("ASGD", "Adadelta", "Adagrad", "Adam", "AdamW", "Adamax", "NAdam", "RAdam", "RMSprop"),
+    *("Rprop", "SGD"),
+)
+"""The optimisers of ``torch.optim`` that treat every element of a parameter by itself."""
+COUPLING = {
+    "Adafactor": "its second moments are means over rows and columns of a parameter",
+    "LBFGS": "its step is a function of all elements, and of the loss as a whole",
+    "Muon": "it orthogonalises a parameter as one matrix",
+    "SparseAdam": "it takes sparse gradients only; Adam is the same for these dense ones",
+}
+"""Those that would couple the trials or do not serve, and why."""
+HELD = ("params", "lr", "foreach", "fused", "capturable", "differentiable")
+"""Arguments that are not options: set elsewhere, or held so that elements are treated alike."""
+
+
+def torch_optimizer(
+    parameters: Parameters,
+    *,
+    name: str,
+    lr: float = 0.05,
+    options: Mapping[str, Any] | None = None,
+) -> LaneOptimizer:
+    """An elementwise optimiser of ``torch.optim`` over lanes, by its name.
+
+    Args:
+        parameters: the parameters, or groups of them.
+        name: one of ``ELEMENTWISE``.
+        lr: the learning rate, > 0.
+        options: further arguments of the torch class, such as ``{"momentum": 0.9}``.
+
+    Raises:
+        ValueError: if the optimiser would couple the trials (``COUPLING`` says why) or is unknown,
+            or an option is not one of its arguments or out of range.
+
+    Example:
+        >>> weight = torch.nn.Parameter(torch.zeros(2, 1))
+        >>> sgd = torch_optimizer([weight], name="SGD", lr=0.5, options={"momentum": 0.9})
+        >>> weight.grad = torch.ones(2, 1)
+        >>> sgd.step(torch.tensor([True, False]))
+        >>> weight.detach().tolist()
+        [[-0.5], [0.0]]
+    """
+    if name in COUPLING:
+        raise ValueError(f"{name} cannot train independent trials: {COUPLING[name]}")
+    if name not in ELEMENTWISE:
+        raise ValueError(f"name must be one of {', '.join(ELEMENTWISE)}, got {name!r}")
+    kind = getattr(torch.optim, name)
+    arguments = [*inspect.signature(kind).parameters]
+    allowed = [argument for argument in arguments if argument not in HELD]
+    for option in options or {}:
+        if option not in allowed:
+            raise ValueError(f"{name} has the options {', '.join(allowed)}, got {option!r}")
+    check_number("lr", lr, 0, low_open=True)
+    held = {argument: False for argument in ("foreach", "fused") if argument in arguments}
+    return LaneOptimizer(
+        lambda given: kind(grouped(given, lr), lr=lr, **held, **(options or {})), parameters
+    )

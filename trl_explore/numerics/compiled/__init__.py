@@ -1,0 +1,1 @@
+"""Compiled arithmetic. Operations reach it through ``numerics.dispatch``; see ``numerics``."""

@@ -1,0 +1,54 @@
+"""Which code serves: compiled code where it can, torch everywhere else.
+
+This is the only way from the operations in ``numerics`` to the modules in ``numerics.compiled``.
+Those are imported on first use, so that importing an operation needs neither numba nor a cache.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+@cache
+def has_numba() -> bool:
+    """Whether numba can be imported. Without it, every operation runs in torch."""
+    try:
+        import_module("numba")
+    except ImportError:
+        return False
+    return True
+
+
+@cache
+def compiled(name: str) -> Any:
+    """The module ``name`` of ``numerics.compiled``, imported on first use.
+
+    Raises:
+        ImportError: if numba is missing; ask ``serves`` first.
+    """
+    return import_module(f"trl_explore.numerics.compiled.{name}")
+
+
+def serves(first: Tensor, *others: Tensor) -> bool:
+    """Whether compiled code serves these tensors: on the CPU, all float32 or all float64."""
+    dtype = first.dtype
+    if not first.is_cpu or (dtype is not torch.float32 and dtype is not torch.float64):
+        return False
+    same = all([other.is_cpu and other.dtype is dtype for other in others])  # noqa: C419 - faster
+    return same and has_numba()
+
+
+def check_frames(frames: torch.Size, **columns: Tensor) -> None:
+    """Compiled code does not check bounds, so shapes are validated here.
+
+    Raises:
+        ValueError: naming the column whose shape is not ``frames``.
+    """
+    for name, column in columns.items():
+        if column.shape != frames:
+            raise ValueError(f"{name} is {list(column.shape)}, but the frames are {list(frames)}")

@@ -1,0 +1,155 @@
+"""Softmax policies: linear (the thesis), a table, and a multilayer perceptron."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torchrl.envs import EnvBase
+
+from trl_explore.checks import settle
+from trl_explore.policies.initial import initial_weights
+from trl_explore.policies.policy import (
+    LaneLinear,
+    LaneMLP,
+    is_one_hot,
+    n_actions,
+    n_features,
+    observation_space,
+)
+
+
+class LinearPolicy(TensorDictModule):
+    """The linear-softmax policy: π(·|s) = softmax(W s), one W for each trial (thesis, A.1).
+
+    Reads "observation" [*batch, n_features] and "trial" [*batch] (the row of the parameters);
+    writes "logits" [*batch, n_actions]. Nothing about exploration is in it.
+
+    Attributes:
+        linear_softmax: whether the logits are W s, so that the gradient of log π has a closed
+            formula. False in a class that overrides ``forward``, unless the class says otherwise.
+
+    Args:
+        env: the environment, whose specs give the sizes and whose batch size the trials.
+        init: how W begins, a name of ``initial_weights``.
+        seed: seed of the job.
+        first_trial: trial index of row 0.
+
+    Raises:
+        ValueError: if the actions are not ``Categorical``, or ``init`` is unknown.
+    """
+
+    actions = "discrete"
+    linear_softmax: ClassVar[bool] = True
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        settle(cls, "linear_softmax", False, ["forward"])
+
+    def __init__(
+        self,
+        env: EnvBase,
+        *,
+        init: str = "glorot_uniform",
+        seed: int = 0,
+        first_trial: int = 0,
+    ) -> None:
+        (trials,) = env.batch_size
+        sizes = [n_features(env), n_actions(env)]
+        (weight,) = initial_weights(sizes, trials, init, seed=seed, first_trial=first_trial)
+        super().__init__(LaneLinear(weight), in_keys=["observation", "trial"], out_keys=["logits"])
+
+    @property
+    def weight(self) -> nn.Parameter:
+        """W [trials, n_actions, n_features]."""
+        module: Any = self.module
+        return module.weight
+
+
+class TabularPolicy(LinearPolicy):
+    """π(a|s) = softmax(W[·, s])_a, one table W for each trial (Sutton & Barto 2018, §13.1).
+
+    A ``LinearPolicy`` on the one-hot state, zero at first: π begins uniform.
+
+    Args:
+        env: an environment of ``make_env`` whose observation is discrete (one-hot).
+        init: how W [trials, n_actions, n_states] begins, a name of ``initial_weights``.
+        seed: seed of the job.
+        first_trial: trial index of row 0.
+
+    Raises:
+        ValueError: if the observation is not discrete, the actions are not ``Categorical``, or
+            ``init`` is unknown.
+
+    Example:
+        >>> from trl_explore.envs import make_env
+        >>> TabularPolicy(make_env("FrozenLake-v1", trials=3)).weight.shape
+        torch.Size([3, 4, 16])
+    """
+
+    def __init__(
+        self, env: EnvBase, *, init: str = "zeros", seed: int = 0, first_trial: int = 0
+    ) -> None:
+        if not is_one_hot(env):
+            space = " ".join(str(observation_space(env)).split())
+            raise ValueError(f"a table needs Discrete observations, got {space}")
+        super().__init__(env, init=init, seed=seed, first_trial=first_trial)
+
+
+class MLPPolicy(TensorDictModule):
+    """π(·|s) = softmax(MLP(s)), one multilayer perceptron (``LaneMLP``) for each trial.
+
+    Reads "observation" [*batch, n_features] and "trial" [*batch] (the row of the parameters);
+    writes "logits" [*batch, n_actions].
+
+    Args:
+        env: the environment, whose specs give the sizes and whose batch size the trials.
+        hidden: the units of every hidden layer; an empty list makes the policy linear.
+        activation: "tanh" or "relu".
+        bias: whether the layers have biases, which begin at 0.
+        init: how weights begin, a name of ``initial_weights``.
+        output_gain: factor of the last layer's initial weights; with a small one π begins nearly
+            uniform.
+        seed: seed of the job.
+        first_trial: trial index of row 0.
+
+    Raises:
+        ValueError: if the actions are not ``Categorical``, or an argument is out of range.
+
+    Example:
+        >>> from trl_explore.envs import make_env
+        >>> policy = MLPPolicy(make_env("CartPole-v1", trials=3), hidden=[16])
+        >>> [tuple(parameter.shape) for parameter in policy.parameters()]
+        [(3, 16, 4), (3, 16), (3, 2, 16), (3, 2)]
+    """
+
+    actions = "discrete"
+
+    def __init__(
+        self,
+        env: EnvBase,
+        *,
+        hidden: Sequence[int] = (32, 32),
+        activation: str = "tanh",
+        bias: bool = True,
+        init: str = "glorot_uniform",
+        output_gain: float = 1.0,
+        seed: int = 0,
+        first_trial: int = 0,
+    ) -> None:
+        if isinstance(hidden, str) or not isinstance(hidden, Sequence):
+            raise ValueError(f"hidden must be a list of sizes such as [32, 32], got {hidden!r}")
+        (trials,) = env.batch_size
+        network = LaneMLP(
+            [n_features(env), *hidden, n_actions(env)],
+            trials,
+            activation,
+            init,
+            seed,
+            first_trial,
+            bias=bias,
+            output_gain=output_gain,
+        )
+        super().__init__(network, in_keys=["observation", "trial"], out_keys=["logits"])
