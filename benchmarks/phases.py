@@ -10,11 +10,11 @@ from unittest import mock
 
 from runs import CAP, Run, build, train
 
-from trl_explore.training import trainer as trainer_module
+from trl_explore.training.shards import Shards
 from trl_explore.training.trainer import Trainer
 
-PHASES = ("collect", "outcomes", "loss", "optimiser", "check", "record")
-"""The loss includes the gradient; the check tests whether loss and weights are finite."""
+PHASES = ("collect", "loss", "optimiser", "check", "record")
+"""The loss with its gradient; the check is whether loss and weights are finite."""
 
 
 class Clock:
@@ -41,7 +41,6 @@ def wrapped(trainer: Trainer, clock: Clock) -> Iterator[None]:
     """Time the parts of ``trainer`` within this context."""
     parts = (
         (trainer.collector, "collect", "collect"),
-        (trainer_module, "outcomes", "outcomes"),
         (trainer.loss, "backward", "loss"),
         (trainer.loss, "step", "loss"),
         (trainer.optimizer, "zero_grad", "optimiser"),
@@ -66,7 +65,7 @@ def phases(trials: int, max_iterations: int = CAP) -> dict[str, float]:
     """Microseconds per iteration of a whole softmax run, by phase, with "rest" and "total"."""
     trainer, clock = build("softmax", trials, max_iterations=max_iterations), Clock()
     with wrapped(trainer, clock):
-        run: Run = train(trainer)
+        run: Run = train(Shards([trainer]))
     parts = {name: 1e6 * seconds / run.iterations for name, seconds in clock.seconds.items()}
     total = 1e6 * run.seconds / run.iterations
     return {**parts, "rest": total - sum(parts.values()), "total": total}

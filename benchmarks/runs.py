@@ -9,6 +9,7 @@ import gc
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ from trl_explore.strategies import (
 )
 from trl_explore.training.optimizers import LaneAdam
 from trl_explore.training.record import Trials
+from trl_explore.training.shards import Shards, partition
 from trl_explore.training.trainer import Trainer
 
 STRATEGIES: dict[str, Callable[[], Strategy]] = {
@@ -75,7 +77,6 @@ def build(
     trials: int,
     *,
     first_trial: int = 0,
-    threads: int = 1,
     lanes: bool = False,
     max_iterations: int = CAP,
 ) -> Trainer:
@@ -85,27 +86,25 @@ def build(
         strategy: a name of ``STRATEGIES``.
         trials: the number of trials.
         first_trial: the index of the first one.
-        threads: the threads of the fused collector.
-        lanes: whether to use the ``TorchRLCollector`` instead of the fused collector.
-        max_iterations: the maximum iterations of a trial.
+        lanes: whether the ``TorchRLCollector`` collects, instead of the fused one.
+        max_iterations: the cap.
     """
     env = make_env("CartPole-v1", trials, 500, first_trial=first_trial)
     policy = LinearPolicy(env, first_trial=first_trial)
     modules: list[Any] = [policy, STRATEGIES[strategy]()]
     both = TensorDictSequential(*modules)
-    collector = TorchRLCollector(env, both) if lanes else FusedCollector(env, both, threads=threads)
+    collector = TorchRLCollector(env, both) if lanes else FusedCollector(env, both)
     loss = ReinforceLoss(SoftmaxActor(policy), trials=trials, functional=False)
     record = Trials(trials, max_iterations=max_iterations)
     return Trainer(collector, loss, LaneAdam(policy.parameters()), record)
 
 
-def train(trainer: Trainer) -> Run:
+def train(shards: Shards, threads: int = 1) -> Run:
     """Train until every trial has stopped."""
     gc.collect()
     started = time.perf_counter()
-    trials = trainer.run()
+    trials = shards.run(threads)
     seconds = time.perf_counter() - started
-    trainer.collector.shutdown()
     episodes = trials.episodes()
     longest = np.zeros(trials.iteration + 1, dtype=np.int64)
     np.maximum.at(longest, episodes["iteration"].astype(np.int64), episodes["frames"])
@@ -126,11 +125,13 @@ def together(runs: Iterable[Run]) -> Run:
 def fused(
     strategy: str, trials: int, threads: int = 1, first_trial: int = 0, max_iterations: int = CAP
 ) -> Run:
-    """Train all trials at once with the fused collector."""
-    trainer = build(
-        strategy, trials, first_trial=first_trial, threads=threads, max_iterations=max_iterations
-    )
-    return train(trainer)
+    """All trials with the fused collector, in shards."""
+    sizes = partition(trials, threads)
+    trainers = [
+        build(strategy, size, first_trial=first, max_iterations=max_iterations)
+        for size, first in zip(sizes, accumulate(sizes, initial=first_trial), strict=False)
+    ]
+    return train(Shards(trainers), threads)
 
 
 def fused_alone(trials: int, max_iterations: int = CAP) -> Run:
@@ -140,8 +141,9 @@ def fused_alone(trials: int, max_iterations: int = CAP) -> Run:
 
 
 def lanes(trials: int, max_iterations: int = CAP) -> Run:
-    """Train all softmax trials at once with the ``TorchRLCollector``."""
-    return train(build("softmax", trials, lanes=True, max_iterations=max_iterations))
+    """All softmax trials at once, with the ``TorchRLCollector``."""
+    trainer = build("softmax", trials, lanes=True, max_iterations=max_iterations)
+    return train(Shards([trainer]))
 
 
 def plain(strategy: str, seeds: Iterable[int], max_iterations: int = CAP) -> Run:

@@ -102,7 +102,7 @@ def test_the_same_episodes(name, env):
     draws = torch.Generator().manual_seed(0)
     active = np.ones(trials, dtype=np.bool_)
     for iteration in range(iterations):
-        data = [collector.collect(active) for collector in (fused, reference)]
+        data = [collector.collect(active).frames for collector in (fused, reference)]
         assert_same(*data)
         with torch.no_grad():
             move = torch.randn(policy.weight.shape, generator=draws)
@@ -119,8 +119,8 @@ def test_the_same_episodes(name, env):
 def test_whole_episodes(name):
     """Up to the limit of the file, where rounding would have had the time to grow."""
     pairs = [build(c, env_file(name), Softmax(), 5) for c in (FusedCollector, TorchRLCollector)]
-    data = pairs[0][0].collect()
-    assert_same(data, pairs[1][0].collect())
+    data = pairs[0][0].collect().frames
+    assert_same(data, pairs[1][0].collect().frames)
     assert data["next", "step_count"].max() > 150
 
 
@@ -128,7 +128,7 @@ def test_whole_episodes(name):
 def test_the_same_at_any_temperature(temperature):
     fused, _ = build(FusedCollector, ENVS["cartpole"], Softmax(temperature), 30)
     reference, _ = build(TorchRLCollector, ENVS["cartpole"], Softmax(temperature), 30)
-    assert_same(fused.collect(), reference.collect())
+    assert_same(fused.collect().frames, reference.collect().frames)
 
 
 def test_one_batch_holds_trials_with_different_epsilon():
@@ -136,11 +136,11 @@ def test_one_batch_holds_trials_with_different_epsilon():
     epsilons = [0.0, 0.25, 0.5, 1.0]
     mixed, _ = build(FusedCollector, ENVS["cartpole"], EpsilonGreedy(epsilons), 4)
     reference, _ = build(TorchRLCollector, ENVS["cartpole"], EpsilonGreedy(epsilons), 4)
-    data = mixed.collect()
-    assert_same(data, reference.collect())
+    data = mixed.collect().frames
+    assert_same(data, reference.collect().frames)
     for trial, epsilon in enumerate(epsilons):
         alone, _ = build(FusedCollector, ENVS["cartpole"], EpsilonGreedy(epsilon), 4)
-        frames = alone.collect()
+        frames = alone.collect().frames
         ours, theirs = data[data["trial"] == trial], frames[frames["trial"] == trial]
         assert torch.equal(ours["action"], theirs["action"])
         assert torch.equal(ours["action_log_prob"], theirs["action_log_prob"])
@@ -153,8 +153,8 @@ def test_ties_share():
     pairs = [build(c, ENVS["cartpole"], Argmax(), 50) for c in (FusedCollector, TorchRLCollector)]
     for _, policy in pairs:
         policy.weight.data.zero_()
-    data = pairs[0][0].collect()
-    assert_same(data, pairs[1][0].collect())
+    data = pairs[0][0].collect().frames
+    assert_same(data, pairs[1][0].collect().frames)
     assert 0.4 < data["action"].float().mean() < 0.6
     assert torch.allclose(data["action_log_prob"], torch.tensor(0.5).log())
 
@@ -168,6 +168,6 @@ def test_the_same_without_exploration(env, zero):
         collector.exploration_type = ExplorationType.DETERMINISTIC
         if zero:
             policy.weight.data.zero_()
-    data = pairs[0][0].collect()
-    assert_same(data, pairs[1][0].collect())
+    data = pairs[0][0].collect().frames
+    assert_same(data, pairs[1][0].collect().frames)
     assert not data["action_log_prob"].any()

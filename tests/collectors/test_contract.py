@@ -52,7 +52,7 @@ def build(
 
 def collect(collector, *active: bool) -> dict[str, torch.Tensor]:
     """A copy of the frames: the collector may reuse its memory. Flat names."""
-    data = collector.collect(np.array(active) if active else None)
+    data = collector.collect(np.array(active) if active else None).frames
     return {
         name: value.clone() for name, value in data.flatten_keys(".").items() if value is not None
     }
@@ -80,7 +80,7 @@ def test_it_is_a_torchrl_collector(kind):
 
 def test_entries(kind):
     collector = build(kind)
-    data = collector.collect()
+    data = collector.collect().frames
     frames = len(data)
     assert data.batch_size == (frames,)
     expected = {
@@ -121,6 +121,25 @@ def test_one_whole_episode_of_every_active_trial(kind, strategy):
             total = episode["next.reward"].cumsum(0)
             assert torch.equal(episode["next.episode_reward"], total)
             assert episode["next.truncated"][-1].item() == (length == 40)
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_the_outcome_of_every_episode(kind, k):
+    """Score and length are those of the frames, which are whole episodes and nothing else."""
+    collector = build(kind, max_steps=30, episodes_per_update=k)
+    for active in ([True] * 4, [False, True, True, False]):
+        frames, score, length = collector.collect(np.array(active))
+        n = sum(active)
+        assert score.shape == length.shape == ((n,) if k == 1 else (n, k))
+        assert (score.dtype, length.dtype) == (np.float64, np.int64)
+        after = frames["next"]
+        ends = after["done"].squeeze(-1).nonzero()[:, 0]
+        assert (ends + 1).tolist() == length.reshape(-1).cumsum().tolist()
+        assert int(ends[-1]) + 1 == len(frames)
+        assert after["step_count"][ends, 0].tolist() == length.reshape(-1).tolist()
+        assert after["episode_reward"][ends, 0].tolist() == score.reshape(-1).tolist()
+        owners = np.repeat(np.flatnonzero(active), length.reshape(n, -1).sum(1))
+        assert frames["trial"].tolist() == owners.tolist()
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
@@ -294,7 +313,7 @@ def test_a_state_dict_is_a_snapshot(kind):
 
 def test_iteration_ends_at_total_frames(kind):
     collector = build(kind)
-    counts = [len(collector.collect()) for _ in range(4)]
+    counts = [len(collector.collect().frames) for _ in range(4)]
     collector = build(kind, total_frames=counts[0] + counts[1] + 1)
     delivered = [len(data) for data in collector]
     assert delivered == counts[:3]

@@ -108,7 +108,7 @@ def test_what_is_not_legible_is_not_known(sweep, text):
         sweep / "done" / "run.json",
         sweep / "sweep.json",
         sweep / ".failed" / "f1.json",
-        sweep / "cut" / "checkpoint" / "b.safetensors",
+        sweep / "cut" / "checkpoint" / "0" / "b.safetensors",
     ):
         path.write_text(text)
     (found,) = survey([sweep])

@@ -87,7 +87,7 @@ def test_every_file_of_every_group_builds(group, option):
     resolved(config)
     trainer = build_trainer(config)
     assert len(trainer.trials) == trainer.collector.trials == 2
-    data = trainer.collector.collect()
+    data = trainer.collector.collect().frames
     assert data["next", "done"].sum() == 2
     trainer.collector.shutdown()
 

@@ -377,7 +377,7 @@ def test_an_attribute_is_obeyed_by_gymnasium_and_kernel():
     for collector in (FusedCollector, TorchRLCollector):
         env = make_env(**arguments)
         policy = TensorDictSequential(LinearPolicy(env), Random())
-        data[collector] = collector(env, policy).collect()
+        data[collector] = collector(env, policy).collect().frames
     angle = data[TorchRLCollector]["observation"][:, 2].abs()
     assert 12 * np.pi / 180 < angle.max() <= limit
     for key in ("observation", "action", ("next", "terminated")):
@@ -475,7 +475,8 @@ def test_no_mask_where_there_is_none():
 def test_strategies_obey_the_mask(strategy, masked):
     """Else the environment itself would object."""
     env = make_env(masked, trials=20, max_steps=9)
-    data = TorchRLCollector(env, TensorDictSequential(LinearPolicy(env), strategy())).collect()
+    both = TensorDictSequential(LinearPolicy(env), strategy())
+    data = TorchRLCollector(env, both).collect().frames
     assert data["action_mask"].shape == (80, 4)
     assert data["action_mask"].gather(-1, data["action"].unsqueeze(-1)).all()
     assert data["action"].unique().tolist() == [0, 1, 2, 3]
@@ -484,7 +485,8 @@ def test_strategies_obey_the_mask(strategy, masked):
 
 def test_the_mask_of_taxi_is_gymnasiums():
     env = make_env("Taxi-v4", trials=3, max_steps=30)
-    data = TorchRLCollector(env, TensorDictSequential(LinearPolicy(env), Softmax())).collect()
+    both = TensorDictSequential(LinearPolicy(env), Softmax())
+    data = TorchRLCollector(env, both).collect().frames
     taxi = gym.make("Taxi-v4").unwrapped
     for state, mask in zip(data["observation"].argmax(-1), data["action_mask"], strict=True):
         assert mask.tolist() == taxi.action_mask(int(state)).astype(bool).tolist()

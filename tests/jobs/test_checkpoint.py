@@ -168,24 +168,26 @@ def test_the_newest_is_found(tmp_path):
     other.load()
     fill(other, 6, 8)
     assert found(tmp_path) == 8
-    assert sorted(path.name for path in (tmp_path / "checkpoint").iterdir()) == [
+    assert sorted(path.name for path in (tmp_path / "checkpoint" / "0").iterdir()) == [
         *SLOTS, "history.bin",
     ]  # fmt: skip
     other.clear()
     assert found(tmp_path) == 0
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.rglob("*")) == [tmp_path / "checkpoint"]
 
 
 def test_a_checkpoint_does_not_grow_with_the_run(tmp_path):
     store, sizes = Store(tmp_path), []
     for k in range(1, 40):
         fill(store, k, k)
-        sizes.append((tmp_path / "checkpoint" / SLOTS[k % 2]).stat().st_size)
+        sizes.append((tmp_path / "checkpoint" / "0" / SLOTS[k % 2]).stat().st_size)
     assert max(sizes) - min(sizes) <= 16  # the digits of the numbers in it
 
 
 def newest(folder: Path) -> Path:
-    return max((folder / "checkpoint" / name for name in SLOTS), key=lambda p: p.stat().st_mtime_ns)
+    return max(
+        (folder / "checkpoint" / "0" / name for name in SLOTS), key=lambda p: p.stat().st_mtime_ns
+    )
 
 
 def test_the_one_before_is_found_where_the_newest_is_damaged(tmp_path):
@@ -206,7 +208,7 @@ def test_the_one_before_is_found_where_the_newest_is_damaged(tmp_path):
 def test_a_damaged_history_counts_as_far_as_it_is_whole(tmp_path):
     store = Store(tmp_path)
     fill(store, 1, 4)
-    path = tmp_path / "checkpoint" / "history.bin"
+    path = tmp_path / "checkpoint" / "0" / "history.bin"
     whole = path.read_bytes()
     path.write_bytes(whole[:-1])
     assert found(tmp_path) == 3
@@ -225,7 +227,7 @@ def test_a_history_of_another_run_is_noticed(tmp_path):
     for name, score in (("one", 1.0), ("two", 2.0)):
         (tmp_path / name).mkdir()
         Store(tmp_path / name).save({}, pack({}), {"score": np.full(50, score)})
-    one, two = (tmp_path / name / "checkpoint" / "history.bin" for name in ("one", "two"))
+    one, two = (tmp_path / name / "checkpoint" / "0" / "history.bin" for name in ("one", "two"))
     one.write_bytes(two.read_bytes())
     loaded, damaged = Store(tmp_path / "one").load()
     assert loaded is None
@@ -268,7 +270,7 @@ def test_a_full_disk(tmp_path):
     """The kernel's own ENOSPC, after the bytes have been accepted into a buffer."""
     store = Store(tmp_path)
     fill(store, 1, 2)
-    (tmp_path / "checkpoint" / f".{SLOTS[1]}.tmp").symlink_to("/dev/full")
+    (tmp_path / "checkpoint" / "0" / f".{SLOTS[1]}.tmp").symlink_to("/dev/full")
     with pytest.raises(OSError, match="No space left on device"):
         fill(store, 3, 3)
     assert found(tmp_path) == 2

@@ -35,18 +35,19 @@ def clock(monkeypatch) -> list[float]:
 
 def test_quiet_where_nobody_watches(trials, clock):
     stream = io.StringIO()
-    progress = Progress("softmax", stream)
+    progress = Progress("softmax", [trials], stream)
     clock[0] += 60
-    progress(trials)
+    progress()
     progress.close()
     assert stream.getvalue() == ""
 
 
 def test_the_live_line(trials, clock):
     stream = Terminal()
-    progress = Progress("softmax", stream)
+    progress = Progress("softmax", [trials], stream)
+    progress.iterations = progress.frames = 0  # as if it had been there from the beginning
     clock[0] += 3.0
-    progress(trials)
+    progress()
     line = stream.getvalue()
     assert re.match(r"\rsoftmax: .*\b2, .*\b1/2, .*\b4\.5, 500 frames/s", line)
     assert "12 s left" in line  # 3 s for 2 iterations, 8 to go
@@ -55,11 +56,11 @@ def test_the_live_line(trials, clock):
 
 def test_the_live_line_is_refreshed_at_intervals(trials, clock):
     stream = Terminal()
-    progress = Progress("softmax", stream)
+    progress = Progress("softmax", [trials], stream)
     lengths = []
     for _ in range(8):
         clock[0] += console.REFRESH * 0.4
-        progress(trials)
+        progress()
         lengths.append(len(stream.getvalue()))
     assert [b > a for a, b in zip([0, *lengths], lengths, strict=False)] == [
         False, False, True, False, False, True, False, False,
@@ -68,9 +69,9 @@ def test_the_live_line_is_refreshed_at_intervals(trials, clock):
 
 def test_the_live_line_is_removed(trials, clock):
     stream = Terminal()
-    progress = Progress("softmax", stream)
+    progress = Progress("softmax", [trials], stream)
     clock[0] += 1
-    progress(trials)
+    progress()
     progress.close()
     assert stream.getvalue().endswith("\r\033[K")
 

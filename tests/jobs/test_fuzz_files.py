@@ -88,9 +88,9 @@ def job(tmp_path_factory, train):
     folder = tmp_path_factory.mktemp("fuzz") / "train" / "softmax"
     folder.mkdir(parents=True)
     config = {
-        "seed": 0, "trials": 3, "first_trial": 0, "max_iterations": 6, "score_threshold": 28.0,
-        "score_window": 3, "strategy": {"_target_": "x", "temperature": 1.0},
-        "env": {"id": "CartPole-v1"},
+        "seed": 0, "trials": 3, "first_trial": 0, "threads": 1, "max_iterations": 6,
+        "score_threshold": 28.0, "score_window": 3,
+        "strategy": {"_target_": "x", "temperature": 1.0}, "env": {"id": "CartPole-v1"},
     }  # fmt: skip
     results.write_job(
         folder,

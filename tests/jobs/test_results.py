@@ -19,6 +19,7 @@ CONFIG = {
     "seed": 5,
     "trials": 3,
     "first_trial": 10,
+    "threads": 1,
     "max_iterations": 4,
     "score_threshold": 5.0,
     "score_window": 2,

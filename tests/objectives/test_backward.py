@@ -58,7 +58,7 @@ def world():
                     )
             strategy = Softmax(0.7)
             both = TensorDictSequential(target, strategy)
-            data = FusedCollector(env, both, episodes_per_update=2).collect()
+            data = FusedCollector(env, both, episodes_per_update=2).collect().frames
             made[id, policy] = env, target, strategy, data
         return made[id, policy]
 

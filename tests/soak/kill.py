@@ -37,6 +37,10 @@ SWEEPS = {
         "trials=40", "max_iterations=300", "strategy=softmax,decaying_epsilon_greedy,argmax",
         "checkpoint_seconds=0.02",
     ],
+    "shards": [
+        "trials=600", "threads=2", "max_iterations=60", "strategy=softmax,epsilon_greedy",
+        "checkpoint_seconds=0.05",
+    ],
     "every iteration": [
         "trials=5", "max_iterations=60", "strategy=epsilon_greedy,softmax", "episodes_per_update=2",
         "optimizer=torch", "optimizer.name=Adam", "checkpoint_seconds=0",

@@ -38,7 +38,7 @@ def test_actions_are_those_of_the_perturbed_policy():
     episodes, xi = noisy(sigma=[0.5, 2.0], temperature=1.5, threshold=None)
     weight = episodes.policy[0].weight
     for episode in range(3):
-        data = episodes.collect()
+        data = episodes.collect().frames
         for k, sigma in enumerate((0.5, 2.0)):
             own = data[data["trial"] == k]
             perturbed = weight[k].detach() + (sigma * xi(k, episode)).float()
@@ -57,7 +57,7 @@ def test_sigma_adapts_to_the_distance_of_the_last_episode(per_update):
     episodes = collector(
         TorchRLCollector, strategy, 2, seed=5, first_trial=3, episodes_per_update=per_update
     )
-    data = episodes.collect()
+    data = episodes.collect().frames
     weight = episodes.policy[0].weight.detach().clone()
     episodes.policy[0].weight.data += 3.0  # the update comes before the step: it plays no role
     distances, frames = strategy._distance(data[-1:])  # one frame, of trial 1
@@ -76,7 +76,7 @@ def test_sigma_adapts_to_the_distance_of_the_last_episode(per_update):
 def test_without_a_threshold_sigma_is_its_schedule():
     episodes, xi = noisy(sigma=Linear(1.0, 0.0, iterations=4), threshold=None)
     for i, sigma in enumerate((1.0, 0.75, 0.5)):
-        data = episodes.collect()
+        data = episodes.collect().frames
         center = episodes.policy[0].weight.detach()
         (perturbed,) = episodes.strategy.behaviour_parameters([episodes.policy[0].weight])
         for k in range(2):

@@ -41,7 +41,7 @@ def test_a_trial_alone_is_the_trial_among_others(kind):
     )
     active = np.ones(4, dtype=np.bool_)
     for iteration in range(6):
-        data, own = whole.collect(active), single.collect()
+        data, own = whole.collect(active).frames, single.collect().frames
         one, two = flat(data[data["trial"] == 2]), flat(own)
         assert one.keys() == two.keys()
         assert all(torch.equal(one[key], two[key]) for key in one)
@@ -54,11 +54,11 @@ def test_a_trial_alone_is_the_trial_among_others(kind):
 def test_a_checkpoint_goes_on_as_if_nothing_had_happened(kind):
     first = collector(TorchRLCollector, kind())
     for _ in range(3):
-        first.strategy.step(first.collect())
+        first.strategy.step(first.collect().frames)
     second = collector(TorchRLCollector, kind())
     second.load_state_dict(first.state_dict())
     for _ in range(3):
-        one, two = first.collect(), second.collect()
+        one, two = first.collect().frames, second.collect().frames
         assert all(
             torch.equal(a, b) for a, b in zip(flat(one).values(), flat(two).values(), strict=True)
         )
@@ -70,7 +70,7 @@ def test_a_checkpoint_goes_on_as_if_nothing_had_happened(kind):
 def test_states_are_plain(kind):
     """Numbers, texts and tensors only: a checkpoint is read without pickle."""
     episodes = collector(TorchRLCollector, kind())
-    episodes.strategy.step(episodes.collect())
+    episodes.strategy.step(episodes.collect().frames)
     for value in episodes.strategy.get_extra_state().values():
         assert isinstance(value, int | float | str | torch.Tensor)
 
@@ -81,7 +81,7 @@ def test_learning_changes_nothing_within_an_iteration(kind):
     strategy = kind()
     episodes = collector(TorchRLCollector, strategy)
     for _ in range(3):
-        data = episodes.collect()
+        data = episodes.collect().frames
         if strategy.exact:
             logits = episodes.policy[0](data.copy())["logits"].detach()
             probs = strategy.probs(strategy.preferences(data, logits), data["trial"])
@@ -127,7 +127,7 @@ def test_the_fused_collector_without_exploration_acts_with_the_policys_own_param
         collector(kind, ParameterNoise(sigma=5.0), **mode)
         for kind in (FusedCollector, TorchRLCollector)
     )
-    data, expected = one.collect(), two.collect()
+    data, expected = one.collect().frames, two.collect().frames
     assert torch.equal(data["action"], expected["action"])
     logits = two.policy[0](expected.copy())["logits"]
     assert torch.equal(expected["action"], logits.argmax(-1))

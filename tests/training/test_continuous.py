@@ -112,7 +112,7 @@ def trainer_of(
 def test_frames(name, policy):
     strategy = strategy_of(name)
     collector = collector_of(strategy, policy)
-    data = collector.collect(np.array([True, False, True]))
+    data = collector.collect(np.array([True, False, True])).frames
     assert data["action"].shape == (60, 1)
     assert data["action"].dtype == torch.float32
     assert data["trial"].tolist() == [0] * 30 + [2] * 30
@@ -125,7 +125,7 @@ def test_frames(name, policy):
 
 def test_actions_come_from_the_trials_streams():
     collector = collector_of(Gaussian(), initial_scale=0.5)
-    data = collector.collect()
+    data = collector.collect().frames
     written = collector.policy[0](data.clone())
     for k in range(3):
         noise = generator(2, Stream.ACTION, k, 0).random((30, 2))
@@ -138,7 +138,7 @@ def test_actions_come_from_the_trials_streams():
 
 
 def test_the_environment_clips_and_the_data_do_not():
-    data = collector_of(Gaussian(), initial_scale=50.0).collect()
+    data = collector_of(Gaussian(), initial_scale=50.0).collect().frames
     assert data["action"].abs().max() > 20
     # Pendulum's reward has 0.001 u^2, |u| <= 2, beside at most pi^2 + 0.1 * 8^2.
     assert (data["next", "reward"] >= -(np.pi**2 + 6.4 + 0.004) - 1e-3).all()
@@ -148,17 +148,17 @@ def test_exploration_off_is_the_mean_action():
     mean = collector_of(MeanAction())
     quiet = collector_of(Gaussian())
     quiet.exploration_type = ExplorationType.DETERMINISTIC
-    a, b = mean.collect(), quiet.collect()
+    a, b = mean.collect().frames, quiet.collect().frames
     assert torch.equal(a["action"], b["action"])
     assert torch.equal(a["next", "reward"], b["next", "reward"])
-    greedy = collector_of(exploiting(EpsilonMean())).collect()
+    greedy = collector_of(exploiting(EpsilonMean())).collect().frames
     assert torch.equal(greedy["action"], a["action"])
 
 
 def test_strategies_differ_in_nothing_else():
     """Paired: with the same policy, frames that are not uniform have the same noise."""
     gaussian, mixed = (
-        collector_of(s, max_steps=1).collect() for s in (Gaussian(), EpsilonUniform())
+        collector_of(s, max_steps=1).collect().frames for s in (Gaussian(), EpsilonUniform())
     )
     assert torch.equal(gaussian["observation"], mixed["observation"])
     uniform = torch.tensor([generator(2, Stream.ACTION, k, 0).random(2)[1] < 0.3 for k in range(3)])
@@ -182,7 +182,7 @@ def test_a_box_without_bounds():
     gym.register("Endless-v0", entry_point=Endless, max_episode_steps=1)
     env = make_env("Endless-v0", 2)
     policy = GaussianLinearPolicy(env)
-    data = TorchRLCollector(env, TensorDictSequential(policy, Gaussian())).collect()
+    data = TorchRLCollector(env, TensorDictSequential(policy, Gaussian())).collect().frames
     assert data["action"].shape == (2, 2)
     for strategy in (UniformAction(), EpsilonUniform(), EpsilonMean()):
         with pytest.raises(ValueError, match=r"box.*finite"):
@@ -194,7 +194,7 @@ def test_state_of_the_collector():
     first, second = (collector_of(Gaussian([0.5, 1.0, 2.0])) for _ in range(2))
     first.collect()
     second.load_state_dict(first.state_dict())
-    assert torch.equal(first.collect()["action"], second.collect()["action"])
+    assert torch.equal(first.collect().frames["action"], second.collect().frames["action"])
 
 
 # The loss
@@ -216,7 +216,7 @@ def returns_of(data):
 @pytest.mark.parametrize("dependent", [False, True])
 def test_loss_and_gradient_are_those_of_torchs_distributions(policy, functional, dependent):
     collector = collector_of(Gaussian(), policy, state_dependent_scale=dependent)
-    built, data = collector.policy[0], collector.collect()
+    built, data = collector.policy[0], collector.collect().frames
     parameters = list(built.parameters())
     out = loss_of(built, functional=functional)(data)
     ours = torch.autograd.grad(out["loss_actor"], parameters)
@@ -231,7 +231,7 @@ def test_loss_and_gradient_are_those_of_torchs_distributions(policy, functional,
 
 def test_loss_under_an_actor_of_torchrl():
     collector = collector_of(Gaussian())
-    built, data = collector.policy[0], collector.collect()
+    built, data = collector.policy[0], collector.collect().frames
     theirs = ProbabilisticActor(
         built, in_keys=["loc", "scale"], distribution_class=IndependentNormal
     )
@@ -244,7 +244,7 @@ def test_gradient_of_the_behaviour_policy():
     """log mu at temperature 2 is the log-density of a Gaussian twice as wide."""
     strategy = Gaussian(temperature=2.0)
     collector = collector_of(strategy)
-    built, data = collector.policy[0], collector.collect()
+    built, data = collector.policy[0], collector.collect().frames
     loss = loss_of(built, functional=False, correction=Behaviour(), strategy=strategy)
     ours = torch.autograd.grad(loss(data)["loss_actor"], list(built.parameters()))
     written = built(data.clone())
@@ -258,7 +258,7 @@ def test_gradient_of_the_behaviour_policy():
 def test_ratios_are_those_of_scipy():
     strategy = EpsilonUniform(0.3)
     collector = collector_of(strategy)
-    built, data = collector.policy[0], collector.collect()
+    built, data = collector.policy[0], collector.collect().frames
     loss = loss_of(built, functional=False, correction=PerStep(), strategy=strategy)
     written = built(data.clone())
     action, loc, scale = (

@@ -145,7 +145,7 @@ def test_what_is_said_of_the_behaviour_is_that_of_the_frames(episodes):
     collector = TorchRLCollector(
         env, TensorDictSequential(policy, strategy), episodes_per_update=episodes
     )
-    data = collector.collect()
+    data = collector.collect().frames
     diagnostics = Diagnostics(SoftmaxActor(policy), strategy, 2, policy.parameters())
     diagnostics.record(data, np.ones(2, dtype=np.bool_))
     columns = diagnostics.columns()

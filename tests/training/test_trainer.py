@@ -14,10 +14,8 @@ from torch.optim import Adam
 from trl_explore.config import CONF
 from trl_explore.config.kinds import options
 from trl_explore.objectives import ReinforceLoss
-from trl_explore.objectives.baselines import StepMean
-from trl_explore.objectives.episodes import outcomes
 from trl_explore.policies import glorot_uniform
-from trl_explore.strategies import VDBE, Argmax, DecayingEpsilonGreedy, EpsilonGreedy, Softmax
+from trl_explore.strategies import Argmax, DecayingEpsilonGreedy, EpsilonGreedy, Softmax
 from trl_explore.training.optimizers import LaneAdam, LaneOptimizer, torch_optimizer
 
 FILES = [CONF / "strategy" / f"{name}.yaml" for name in options("strategy", "discrete")]
@@ -62,61 +60,6 @@ def test_trials_that_stop_early_disturb_nobody(train):
         assert_same_trial(run(Softmax(), trials=1, first_trial=k), 0, batch, k)
     for k in range(9):
         assert_same_trial(tail, k, batch, k + 3)
-
-
-@pytest.mark.parametrize("loss", [{}, {"entropy_coeff": 0.1}, {"normalize_advantage": True}])
-def test_blocks_of_trials_change_nothing(build, loss):
-    """With and without autograd, while trials stop and blocks become fewer."""
-    options = {"max_iterations": 20, "score_window": 4, "score_threshold": 30.0}
-    make = partial(ReinforceLoss, **loss)
-    one, many = (build(Softmax(), 20, loss=make, **options) for _ in range(2))
-    collect, sizes = many.collector.collect, []
-    many.collector.block = 6
-
-    def watch(active):
-        sizes.append(np.count_nonzero(active))
-        return collect(active)
-
-    many.collector.collect = watch
-    one.run()
-    many.run()
-    assert sizes[:4] == [5, 5, 5, 5]
-    assert len(set(sizes)) > 2
-    assert max(sizes) <= 6
-    for k in range(20):
-        assert_same_trial(one, k, many, k)
-    assert one.trials.curves()["score"].tolist() == many.trials.curves()["score"].tolist()
-
-
-class LearningLoss(ReinforceLoss):
-    """Counts the frames it learns from."""
-
-    learned = 0
-
-    def step(self, tensordict):
-        self.learned += len(tensordict)
-
-
-@pytest.mark.parametrize(
-    ("strategy", "loss"),
-    [
-        (VDBE, ReinforceLoss),
-        (Softmax, partial(ReinforceLoss, baseline=StepMean())),
-        (Softmax, LearningLoss),
-    ],
-)
-def test_who_learns_from_the_data_is_given_them_as_a_whole(build, strategy, loss):
-    trainer = build(strategy(), 8, max_iterations=2, loss=loss)
-    trainer.collector.block = 3
-    collect, sizes = trainer.collector.collect, []
-
-    def watch(active):
-        sizes.append(np.count_nonzero(active))
-        return collect(active)
-
-    trainer.collector.collect = watch
-    trainer.run()
-    assert sizes == [8, 8]
 
 
 def tensors(optimizer) -> list[torch.Tensor]:
@@ -188,7 +131,7 @@ def test_strategies_are_compared_on_paired_trials(build):
     """The same trial starts from the same weights and in the same state, whatever explores."""
     one, two = (build(strategy, 3, seed=1) for strategy in (Softmax(), EpsilonGreedy(0.3)))
     assert torch.equal(weights(one), weights(two))
-    starts = [t.collector.collect() for t in (one, two)]
+    starts = [t.collector.collect().frames for t in (one, two)]
     first = [data["observation"][data["next", "step_count"][:, 0] == 1] for data in starts]
     assert torch.equal(*first)
 
@@ -280,9 +223,9 @@ def test_updates_by_hand(build):
     adam = Adam([expected], lr=lr)
 
     def watch(active):
-        data = collect(active).clone()
-        seen.append(data)
-        return data
+        rollout = collect(active)
+        seen.append(rollout.frames.clone())
+        return rollout
 
     def compare(record) -> None:
         data, loss = seen[-1], torch.zeros((), dtype=torch.float64)
@@ -313,12 +256,13 @@ def test_every_episode_after_an_update_is_collected_with_the_new_weights(build):
 
     def watch(active):
         before = weights(trainer).clone()
-        data = collect(active)
+        rollout = collect(active)
+        data = rollout.frames
         log_pi = (before[data["trial"]] @ data["observation"].unsqueeze(-1))[..., 0].log_softmax(-1)
         expected = log_pi.gather(1, data["action"].unsqueeze(1))[:, 0]
         torch.testing.assert_close(data["action_log_prob"], expected, rtol=1e-4, atol=1e-5)
         seen.append(before)
-        return data
+        return rollout
 
     trainer.collector.collect = watch
     trainer.run()
@@ -368,23 +312,6 @@ def test_on_iteration_and_seconds(train):
     assert (trials.seconds > 0).all()
     order = np.argsort(trials.iterations, kind="stable")
     assert (np.diff(trials.seconds[order]) >= 0).all()
-
-
-def test_outcomes_of_two_episodes():
-    data = TensorDict(
-        {
-            "next": {
-                "done": torch.tensor([[False], [True], [True]]),
-                "episode_reward": torch.tensor([[1.5], [-2.0], [7.0]]),
-                "step_count": torch.tensor([[1], [2], [1]]),
-            }
-        },
-        [3],
-    )
-    scores, frames = outcomes(data)
-    assert scores.dtype == np.float64
-    assert scores.tolist() == [-2.0, 7.0]
-    assert frames.tolist() == [2, 1]
 
 
 def test_the_weights_move_by_the_optimiser_alone(train):

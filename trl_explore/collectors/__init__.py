@@ -1,7 +1,7 @@
 """Collectors: whole episodes of every active trial, parameters fixed."""
 
 from trl_explore.collectors.auto import auto_collector
-from trl_explore.collectors.collector import EpisodeCollector
+from trl_explore.collectors.collector import EpisodeCollector, Rollout
 from trl_explore.collectors.fused import FusedCollector, NotCompilableError
 from trl_explore.collectors.torchrl import TorchRLCollector
 
@@ -9,6 +9,7 @@ __all__ = [
     "EpisodeCollector",
     "FusedCollector",
     "NotCompilableError",
+    "Rollout",
     "TorchRLCollector",
     "auto_collector",
 ]

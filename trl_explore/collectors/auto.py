@@ -19,7 +19,6 @@ def auto_collector(
     env: TransformedEnv,
     policy: TensorDictSequential,
     *,
-    threads: int = 1,
     announce: bool = True,
     **options: Any,
 ) -> EpisodeCollector:
@@ -30,12 +29,11 @@ def auto_collector(
         policy: ``TensorDictSequential(policy, strategy)``.
 
     Keyword Args:
-        threads: threads of the fused collector.
         announce: whether to write the line.
         options: the arguments of ``EpisodeCollector``.
     """
     try:
-        collector = FusedCollector(env, policy, threads=threads, **options)
+        collector = FusedCollector(env, policy, **options)
         line = "collector: fused"
     except NotCompilableError as error:
         collector = TorchRLCollector(env, policy, **options)

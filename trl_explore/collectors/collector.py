@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from abc import abstractmethod
 from collections import OrderedDict
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -20,6 +19,21 @@ from torchrl.envs.utils import ExplorationType
 from trl_explore.checks import check_integer
 from trl_explore.envs import LaneVectorEnv, lane_env
 from trl_explore.strategies import BaseStrategy
+
+
+class Rollout(NamedTuple):
+    """The episodes that one call of a collector gives.
+
+    Attributes:
+        frames: all frames, flat [frames]; the entries are those of ``EpisodeCollector``.
+        score: the undiscounted return of every episode [active], trials ascending, or [active, k]
+            where every trial has k > 1 episodes.
+        length: its number of frames, in the same shape.
+    """
+
+    frames: TensorDictBase
+    score: NDArray[np.float64]
+    length: NDArray[np.int64]
 
 
 class EpisodeCollector(BaseCollector):
@@ -64,12 +78,13 @@ class EpisodeCollector(BaseCollector):
         >>> env = make_env("CartPole-v1", trials=3)
         >>> policy = TensorDictSequential(LinearPolicy(env), EpsilonGreedy(0.3))
         >>> collector = TorchRLCollector(env, policy)
-        >>> int(collector.collect()["next", "done"].sum())
-        3
+        >>> rollout = collector.collect()
+        >>> len(rollout.frames) == rollout.length.sum()
+        True
     """
 
-    block = sys.maxsize
-    """How many trials it is best to collect at once, if there are more."""
+    parallel: ClassVar[bool] = False
+    """Whether collectors of several threads run at the same time."""
 
     def __init__(
         self,
@@ -103,14 +118,15 @@ class EpisodeCollector(BaseCollector):
         """The number of trials."""
         return self.lanes.num_envs
 
-    def collect(self, active: NDArray[np.bool_] | None = None) -> TensorDictBase:
+    def collect(self, active: NDArray[np.bool_] | None = None) -> Rollout:
         """The next ``episodes_per_update`` whole episodes of every active trial.
 
         Args:
             active: [trials] bool, the trials to collect; None takes all.
 
         Returns:
-            The frames; they are valid until the next call, which may reuse their memory.
+            The frames and the outcome of each episode; the frames are valid until the next call,
+            which may reuse their memory.
 
         Raises:
             ValueError: if ``active`` has the wrong shape or is nowhere true.
@@ -125,19 +141,22 @@ class EpisodeCollector(BaseCollector):
             raise ValueError(
                 f"active must be a bool array [{self.trials}] with a true entry, got {active!r}"
             )
-        data = self._collect(active)
+        frames, score, length = self._collect(active)
         self.episodes += active * self.episodes_per_update
-        self.frames += len(data)
-        return data
+        self.frames += len(frames)
+        if self.episodes_per_update > 1:
+            shape = (-1, self.episodes_per_update)
+            score, length = score.reshape(shape), length.reshape(shape)
+        return Rollout(frames, score, length)
 
     @abstractmethod
-    def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
-        """The episodes from ``self.episodes[k]`` on of every active trial k."""
+    def _collect(self, active: NDArray[np.bool_]) -> Rollout:
+        """The episodes from ``self.episodes[k]`` on of every active trial k, outcomes flat."""
 
     def iterator(self) -> Iterator[TensorDictBase]:
-        """Episodes in memory of their own, until ``total_frames`` is reached, or for ever."""
+        """Frames in memory of their own, until ``total_frames`` is reached, or for ever."""
         while self.total_frames < 0 or self.frames < self.total_frames:
-            yield self.collect().clone()
+            yield self.collect().frames.clone()
 
     def __len__(self) -> int:
         raise TypeError(

@@ -13,7 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.transforms import Transform
 from torchrl.envs.utils import set_exploration_type
 
-from trl_explore.collectors.collector import EpisodeCollector
+from trl_explore.collectors.collector import EpisodeCollector, Rollout
 from trl_explore.numerics.streams import Stream, generator
 
 NOISE_STEPS = 128
@@ -31,15 +31,17 @@ class TorchRLCollector(EpisodeCollector):
     environment, and its rows are dropped. Arguments and data are those of ``EpisodeCollector``.
     """
 
-    def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
+    def _collect(self, active: NDArray[np.bool_]) -> Rollout:
         parts = [self._episode(active, self.episodes + j) for j in range(self.episodes_per_update)]
         if len(parts) == 1:
             return parts[0]
-        data = cast(TensorDictBase, torch.cat(parts))  # pyright: ignore
-        return data[data.get("trial").argsort(stable=True)]
+        frames, scores, lengths = zip(*parts, strict=True)
+        data = cast(TensorDictBase, torch.cat(frames))  # pyright: ignore
+        data = data[data.get("trial").argsort(stable=True)]
+        return Rollout(data, np.stack(scores, 1).reshape(-1), np.stack(lengths, 1).reshape(-1))
 
     @torch.no_grad()
-    def _episode(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> TensorDictBase:
+    def _episode(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> Rollout:
         """The episode ``episodes[k]`` of every active trial k."""
         lanes = self.lanes
         lanes.episodes[:] = episodes
@@ -63,8 +65,13 @@ class TorchRLCollector(EpisodeCollector):
                 td.set("next", self._next(td))
                 frames.append(self._frame(td))
                 td = self.env._step_mdp(td)
-        mask = torch.from_numpy(np.stack(running)).t()
-        return cast(TensorDictBase, TensorDict.stack(frames, 1))[mask]
+        mask = np.stack(running, 1)
+        length = mask.sum(1)[active]
+        (trials,) = active.nonzero()
+        data = cast(TensorDictBase, TensorDict.stack(frames, 1))
+        total = data.get(("next", "episode_reward")).squeeze(-1).numpy()
+        score = total[trials, length - 1].astype(np.float64)
+        return Rollout(data[torch.from_numpy(mask)], score, length)
 
     def _next(self, td: TensorDictBase) -> TensorDictBase:
         """What ``env.step`` writes to "next".

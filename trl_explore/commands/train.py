@@ -7,6 +7,7 @@ import os
 import sys
 import traceback
 from contextlib import suppress
+from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,14 +22,15 @@ from trl_explore import jobs as results
 from trl_explore.config import CONF, ConfigError
 from trl_explore.jobs import signals
 from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
-from trl_explore.jobs.checkpoint import Checkpoint, Store
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.lock import NAME as LOCK
 from trl_explore.jobs.lock import Lock, LockedError
-from trl_explore.jobs.resume import find
+from trl_explore.jobs.resume import Checkpoints
 from trl_explore.jobs.signals import Interrupted, Interrupts
 
 if TYPE_CHECKING:
+    from trl_explore.jobs.console import Progress
+    from trl_explore.jobs.resume import Saver
     from trl_explore.training.record import Trials
 
 EXPECTED = (ValueError, OmegaConfBaseException, OSError, MemoryError)
@@ -93,10 +95,10 @@ def train(config: DictConfig, folder: Path) -> None:
         if results.is_finished(folder) and not config.restart:  # by now
             leave_finished(folder, values)
             return
-        store, checkpoint = (Store(folder), None) if config.restart else find(folder)
-        if checkpoint is not None:
-            check_same(folder, checkpoint.header, values)
-        train_from(config, folder, values, store, checkpoint, interrupts)
+        checkpoints = Checkpoints(folder, load=not config.restart)
+        if checkpoints.header is not None:
+            check_same(folder, checkpoints.header, values)
+        train_from(config, folder, values, checkpoints, interrupts)
 
 
 def leave_finished(folder: Path, values: dict[str, Any]) -> None:
@@ -114,7 +116,7 @@ def leave_finished(folder: Path, values: dict[str, Any]) -> None:
         raise ResultsError(f"{error}; restart=true begins anew") from None
     if (folder / CHECKPOINT).exists() or (folder / LOCK).exists():
         with suppress(OSError), Lock(folder):
-            Store(folder).clear()
+            Checkpoints(folder, load=False).clear()
     print(f"{folder.name}: finished before, nothing to do (restart=true begins anew)")
 
 
@@ -133,66 +135,65 @@ def train_from(
     config: DictConfig,
     folder: Path,
     values: dict[str, Any],
-    store: Store,
-    checkpoint: Checkpoint | None,
+    checkpoints: Checkpoints,
     interrupts: Interrupts,
 ) -> None:
-    """Train from a checkpoint, or from the beginning, and write the results."""
+    """Train from the checkpoints, or from the beginning, and write the results."""
     import torch
 
     from trl_explore.jobs.console import Progress
-    from trl_explore.jobs.resume import Saver, restore
 
     choices = configuration.current_choices()
-    trainer = configuration.build_trainer(config)
     torch.set_num_threads(1)
-    if checkpoint is not None:
-        restore(trainer, checkpoint)
+    shards = configuration.build_shards(config, checkpoints.sizes)
     header = {"config": values, "versions": results.versions()}
-    saver = Saver(store, trainer, header, interrupts, seconds=config.checkpoint_seconds)
-    if checkpoint is None:
-        store.clear()
+    checkpoints.attach(shards, header, interrupts, config.checkpoint_seconds)
+    if checkpoints.header is None:
+        checkpoints.clear()
     results.clear(folder)
     configuration.save_hydra(folder, config)
-    progress = Progress(folder.name, begun=trainer.trials)
-
-    def on_iteration(trials: Trials) -> None:
-        progress(trials)
-        saver(trials)
-
-    trainer.on_iteration = on_iteration
+    progress = Progress(folder.name, [trainer.trials for trainer in shards.trainers])
+    for trainer, saver in zip(shards.trainers, checkpoints.savers, strict=True):
+        trainer.on_iteration = partial(after_iteration, progress, saver)
     try:
         with interrupts.deferred():
             interrupts.check()
-            trials = trainer.run()
+            trials = shards.run(config.threads)
             progress.close()
             with interrupts.held():  # what is trained is not thrown away
                 results.write_job(
                     folder,
                     trials,
-                    dict(trainer.collector.policy[0].named_parameters()),
+                    shards.weights(),
                     config=values,
                     experiment=choices.get("experiment") or "train",
                     strategy=str(choices["strategy"]),
-                    collector=type(trainer.collector).__name__,
-                    seconds=trainer.seconds,
+                    collector=type(shards.trainers[0].collector).__name__,
+                    seconds=shards.seconds,
                     episodes=config.episodes,
-                    evaluator=trainer.evaluator,
-                    diagnostics=trainer.diagnostics,
+                    evaluations=shards.evaluations(),
+                    diagnostics=shards.diagnostics(),
                 )
     except BaseException:
         if interrupts.pending is not None:
-            saver.rescue()
-            if saver.saved:
-                interrupts.pending.where = f" at iteration {saver.saved} of {folder.name}"
+            checkpoints.rescue()
+            if checkpoints.where:
+                interrupts.pending.where = f" at {checkpoints.where} of {folder.name}"
             interrupts.check()
         raise
     finally:
         progress.close()
-        trainer.collector.shutdown()
-        trainer.on_iteration = None  # a cycle, which would keep the data of job after job
-    store.clear()
+        shards.close()
+        for trainer in shards.trainers:
+            trainer.on_iteration = None  # a cycle, which would keep the data of job after job
+    checkpoints.clear()
     interrupts.check()
+
+
+def after_iteration(progress: Progress, saver: Saver, trials: Trials) -> None:
+    """Show how far the job is, and take a checkpoint if it is time to."""
+    progress()
+    saver(trials)
 
 
 def main() -> int:

@@ -6,6 +6,7 @@ built, so that ``--help``, ``--cfg`` and tab completion are quick.
 
 from trl_explore.checks import first_line
 from trl_explore.config.building import (
+    build_shards,
     build_trainer,
     current_choices,
     current_folder,
@@ -24,6 +25,7 @@ __all__ = [
     "INERT",
     "ConfigError",
     "Ended",
+    "build_shards",
     "build_trainer",
     "check_keys",
     "collect",

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.types import RunMode
-from hydra.utils import instantiate
+from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.checks import LARGEST, MAX_THREADS, check_integer, check_number
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from trl_explore.objectives.baselines import Baseline
     from trl_explore.training.evaluation import Evaluator
+    from trl_explore.training.shards import Shards
     from trl_explore.training.trainer import Trainer
 
 INTEGERS = {
@@ -58,14 +59,57 @@ def fill_threshold(config: DictConfig) -> None:
     config.score_threshold = threshold
 
 
-def build_trainer(config: DictConfig) -> Trainer:
+def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shards:
     """Everything that a job needs, built from its configuration.
+
+    Args:
+        config: the configuration.
+        sizes: the sizes of the shards; None: as its trials and threads suggest.
 
     Raises:
         ConfigError: if a value is not allowed, before anything is trained or written.
     """
+    from trl_explore.training.shards import Shards, partition
+
+    _check(config)
+    if sizes is None:
+        sizes = partition(config.trials, config.threads)
+        first = _build_trainer(config, slice(0, sizes[0]))
+        trainers = [first]
+        if len(sizes) > 1 and not first.parallel:  # then fewer and larger steps are faster
+            first.close()
+            trainers, sizes = [_build_trainer(config, slice(0, config.trials))], [config.trials]
+    else:
+        trainers = [_build_trainer(config, slice(0, sizes[0]))]
+    for size in sizes[1:]:
+        start = sum(len(trainer.trials) for trainer in trainers)
+        trainers.append(_build_trainer(config, slice(start, start + size)))
+    return Shards(trainers)
+
+
+def build_trainer(config: DictConfig) -> Trainer:
+    """All trials of a job in one trainer.
+
+    Raises:
+        ConfigError: if a value is not allowed.
+    """
+    _check(config)
+    return _build_trainer(config, slice(0, config.trials))
+
+
+def _check(config: DictConfig) -> None:
+    """Refuse numbers of the top level that are not allowed."""
+    fill_threshold(config)
+    for key, (low, high) in INTEGERS.items():
+        _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))
+    _build(None, lambda: check_number("checkpoint_seconds", config.checkpoint_seconds, 0))
+
+
+def _build_trainer(config: DictConfig, rows: slice) -> Trainer:
+    """The trainer of some of the trials."""
     from tensordict.nn import TensorDictSequential
 
+    from trl_explore.collectors import auto_collector
     from trl_explore.numerics.compiled.cache import lock_cache
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
@@ -73,22 +117,21 @@ def build_trainer(config: DictConfig) -> Trainer:
     from trl_explore.training.trainer import Trainer
 
     lock_cache()
-    fill_threshold(config)
-    for key, (low, high) in INTEGERS.items():
-        _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))
-    _build(None, lambda: check_number("checkpoint_seconds", config.checkpoint_seconds, 0))
+    size = rows.stop - rows.start
     trials = _build(
         None,
         lambda: Trials(
-            config.trials,
+            size,
             max_iterations=config.max_iterations,
             score_threshold=config.score_threshold,
             score_window=config.score_window,
         ),
     )
-    streams = {"seed": config.seed, "first_trial": config.first_trial}
+    streams = {"seed": config.seed, "first_trial": config.first_trial + rows.start}
     strategy = _instantiate(config, "strategy")()
-    env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
+    if size < config.trials:
+        _build("strategy", lambda: strategy.take(rows, config.trials))
+    env = _instantiate(config, "env", without=STOPPING)(trials=size, **streams)
     check_actions(config, env.action_spec.domain)
     policy = _instantiate(config, "policy")(env=env, **streams)
     baseline = _instantiate(config, "baseline")()
@@ -100,13 +143,16 @@ def build_trainer(config: DictConfig) -> Trainer:
         correction=_instantiate(config, "correction")(),
         baseline=baseline,
         strategy=strategy,
-        trials=config.trials,
+        trials=size,
     )
-    collector = _instantiate(config, "collector")(env, TensorDictSequential(policy, strategy))
+    auto = get_object(config.collector["_target_"]) is auto_collector
+    quiet = {"announce": False} if auto and rows.start else {}  # one line for all shards
+    both = TensorDictSequential(policy, strategy)
+    collector = _instantiate(config, "collector")(env, both, **quiet)
     diagnostics = None
     if config.diagnostics:
-        diagnostics = Diagnostics(actor, strategy, config.trials, policy.parameters())
-    evaluator = _evaluator(config, policy, strategy)
+        diagnostics = Diagnostics(actor, strategy, size, policy.parameters())
+    evaluator = _evaluator(config, policy, strategy, size, streams)
     return _build(
         None,
         lambda: Trainer(
@@ -121,7 +167,9 @@ def build_trainer(config: DictConfig) -> Trainer:
     )
 
 
-def _evaluator(config: DictConfig, policy: Any, strategy: Any) -> Evaluator | None:
+def _evaluator(
+    config: DictConfig, policy: Any, strategy: Any, trials: int, streams: Mapping[str, int]
+) -> Evaluator | None:
     """What plays the greedy policy; None: nothing does."""
     from tensordict.nn import TensorDictSequential
     from torchrl.envs.utils import ExplorationType
@@ -134,13 +182,13 @@ def _evaluator(config: DictConfig, policy: Any, strategy: Any) -> Evaluator | No
         raise ConfigError(f"stop_on must be one of {', '.join(STOP_ON)}, got {config.stop_on!r}")
     if not config.evaluate_every:
         return None
-    streams = {"seed": config.seed, "first_trial": config.first_trial, "stream": Stream.EVALUATION}
-    env = _instantiate(config, "env", without=STOPPING)(trials=config.trials, **streams)
+    env = _instantiate(config, "env", without=STOPPING)(
+        trials=trials, stream=Stream.EVALUATION, **streams
+    )
     greedy = TensorDictSequential(policy, cast(Any, exploiting(strategy)))
     collector = auto_collector(
         env,
         greedy,
-        threads=config.threads,
         announce=False,
         exploration_type=ExplorationType.DETERMINISTIC,
         episodes_per_update=config.evaluate_episodes,

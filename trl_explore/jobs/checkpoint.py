@@ -1,6 +1,6 @@
 """Checkpoints of a job: what is in the files, and how they survive a cut at any instant.
 
-In the folder ``checkpoint/`` of a job that is not finished:
+In the folder ``checkpoint/<k>/`` of shard k of a job that is not finished:
 
     a.safetensors, b.safetensors   the last two checkpoints, written in turns
     history.bin                    the episodes up to the last checkpoint, append-only
@@ -181,14 +181,15 @@ class Checkpoint(NamedTuple):
 
 
 class Store:
-    """The checkpoint files of one job.
+    """The checkpoint files of one shard of a job.
 
     Args:
         job: the folder of the job.
+        shard: the number of the shard, from 0.
     """
 
-    def __init__(self, job: Path) -> None:
-        self.folder = job / FOLDER
+    def __init__(self, job: Path, shard: int = 0) -> None:
+        self.folder = job / FOLDER / str(shard)
         self._number = 0
         self._length, self._seal = 0, bytes(DIGEST)
 
@@ -227,6 +228,7 @@ class Store:
         Raises:
             OSError: if it cannot be written.
         """
+        self.folder.parent.mkdir(exist_ok=True)
         self.folder.mkdir(exist_ok=True)
         length, seal = self._append(history)
         number = self._number + 1

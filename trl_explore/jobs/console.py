@@ -25,37 +25,39 @@ class Progress:
 
     Args:
         label: what is running.
+        records: the records of the shards, at the beginning of what is shown.
         stream: where to write.
-        begun: the record at this moment, where a training goes on that was begun before.
     """
 
     quiet = False
     """Whether this process is one of several that share a terminal."""
 
-    def __init__(
-        self, label: str, stream: TextIO = sys.stderr, *, begun: Trials | None = None
-    ) -> None:
-        self.label, self.stream = label, stream
-        self.iterations = 0 if begun is None else begun.iteration
-        self.frames = 0 if begun is None else int(begun.frames.sum())
+    def __init__(self, label: str, records: Sequence[Trials], stream: TextIO = sys.stderr) -> None:
+        self.label, self.records, self.stream = label, records, stream
+        self.iterations = sum(len(record) * record.iteration for record in records)
+        self.frames = sum(int(record.frames.sum()) for record in records)
         self.live = stream.isatty() and not Progress.quiet
         self.started = self.shown = time.perf_counter()
 
-    def __call__(self, trials: Trials) -> None:
+    def __call__(self) -> None:
         """Show the state after an iteration, if it is time to."""
         now = time.perf_counter()
         if not self.live or now - self.shown < REFRESH:
             return
         self.shown = now
-        seconds = now - self.started
-        done = trials.iteration - self.iterations
-        left = seconds / done * (trials.max_iterations - trials.iteration)
+        seconds, records = now - self.started, self.records
+        trials = sum(map(len, records))
+        running = [record for record in records if record.active.any()] or records[-1:]
+        done = sum(len(record) * record.iteration for record in records) - self.iterations
+        todo = sum(len(record) * (record.max_iterations - record.iteration) for record in running)
+        shards = f"{len(records) - len(running)}/{len(records)} shards, " if records[1:] else ""
+        frames = sum(int(record.frames.sum()) for record in records) - self.frames
         self.stream.write(
-            f"\r{self.label}: iteration {trials.iteration}, "
-            f"converged {trials.converged.sum()}/{len(trials)}, "
-            f"mean score {trials.score.mean():.1f}, "
-            f"{(trials.frames.sum() - self.frames) / seconds:,.0f} frames/s, "
-            f"at most {duration(left)} left\033[K"
+            f"\r{self.label}: {shards}iteration {max(record.iteration for record in running)}, "
+            f"converged {sum(int(record.converged.sum()) for record in records)}/{trials}, "
+            f"mean score {sum(float(record.score.sum()) for record in records) / trials:.1f}, "
+            f"{frames / seconds:,.0f} frames/s, "
+            f"at most {duration(seconds / max(done, 1) * todo)} left\033[K"
         )
         self.stream.flush()
 

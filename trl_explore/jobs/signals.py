@@ -120,6 +120,7 @@ class Interrupts:
         self.pending: Interrupted | None = None
         self._deferred = False
         self._held = 0
+        self._count = threading.Lock()
         self._since = 0.0
 
     def __enter__(self) -> Interrupts:
@@ -188,8 +189,10 @@ class Interrupts:
     @contextmanager
     def held(self) -> Iterator[None]:
         """Nothing is raised here."""
-        self._held += 1
+        with self._count:  # several threads write their checkpoints
+            self._held += 1
         try:
             yield
         finally:
-            self._held -= 1
+            with self._count:
+                self._held -= 1

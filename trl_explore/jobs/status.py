@@ -151,9 +151,16 @@ def _json(path: Path) -> dict[str, Any] | None:
 
 
 def _progress(folder: Path) -> dict[str, Any]:
-    """The header of the newest checkpoint."""
-    headers = [_header(folder / CHECKPOINT / slot) for slot in SLOTS]
-    return max(headers, key=lambda header: _integer(header.get("iteration")) or -1)
+    """The header of the newest checkpoint of the shards."""
+    slots = [path for name in SLOTS for path in (folder / CHECKPOINT).glob(f"*/{name}")]
+    headers = [header for path in slots if (header := _header(path))]
+    return max(headers, key=_newness, default={})
+
+
+def _newness(header: dict[str, Any]) -> tuple[float, int]:
+    seconds = header.get("seconds")
+    known = isinstance(seconds, int | float)
+    return float(seconds) if known else -1.0, _integer(header.get("iteration")) or -1
 
 
 def _header(path: Path) -> dict[str, Any]:

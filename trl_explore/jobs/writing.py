@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from torch import Tensor
 
-    from trl_explore.training.diagnostics import Diagnostics
-    from trl_explore.training.evaluation import Evaluator
     from trl_explore.training.record import Trials
 
 
@@ -72,8 +70,8 @@ def write_job(
     collector: str,
     seconds: float,
     episodes: bool = True,
-    evaluator: Evaluator | None = None,
-    diagnostics: Diagnostics | None = None,
+    evaluations: Mapping[str, NDArray[Any]] | None = None,
+    diagnostics: Mapping[str, NDArray[Any]] | None = None,
 ) -> None:
     """Write every file of a finished job.
 
@@ -87,17 +85,17 @@ def write_job(
         collector: name of the collector that was used.
         seconds: wall time of the training, without compilation.
         episodes: whether to write ``episodes.csv``.
-        evaluator: what was evaluated, for ``evaluations.csv``.
-        diagnostics: what was recorded beside the scores, for further columns of ``episodes.csv``.
+        evaluations: the columns of ``evaluations.csv``, if there is one.
+        diagnostics: further columns of ``episodes.csv``, an entry per iteration and active trial.
     """
     import torch
 
     _write_text(job / TRIALS, _trials_csv(trials, config))
     if episodes:
-        extra = {} if diagnostics is None else diagnostics.columns()
+        extra = diagnostics or {}
         _write_text(job / EPISODES, _episodes_csv(trials, config["first_trial"], extra))
-    if evaluator is not None:
-        values = _from(config["first_trial"], evaluator.rows())
+    if evaluations is not None:
+        values = _from(config["first_trial"], evaluations)
         _write_text(job / EVALUATIONS, table_text(EVALUATION_COLUMNS, values))
     _write_scalars(job, trials)
     _write_weights(job / WEIGHTS, weights)
@@ -110,7 +108,7 @@ def write_job(
         "collector": collector,
         "seconds": seconds,
         "iterations": trials.iteration,
-        "threads": {"compiled": config.get("threads", 1), "torch": torch.get_num_threads()},
+        "threads": {"compiled": config["threads"], "torch": torch.get_num_threads()},
         "files": _record(job),
         "config": config,
         "versions": versions(),

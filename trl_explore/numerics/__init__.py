@@ -3,8 +3,9 @@
 Each operation has one formula, written twice: in torch, for any device, shape and dtype, and
 compiled, for flat frames on the CPU. ``TWINS`` lists the pairs, and
 ``tests/numerics/test_twins.py`` compares each. ``dispatch`` is the only way to the compiled code:
-it imports it on first use, and never where numba is missing. No sum runs over the frames of more than one trial,
-and every sum runs in the order of the frames, so that a trial does not depend on its neighbours.
+it imports it on first use, and never where numba is missing. No sum runs over the frames of more
+than one trial, and every sum runs in the order of the frames, so that a trial does not depend on
+its neighbours.
 
 Import from the modules: this package imports none of them, so that ``numerics.streams`` needs
 neither numba nor torch.

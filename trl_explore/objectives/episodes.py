@@ -6,17 +6,12 @@ from collections.abc import Iterable
 from functools import cached_property
 from typing import Any, Protocol
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
 from trl_explore.numerics.returns import return_to_go
 from trl_explore.numerics.score import lane_sum
-
-OUTCOMES = ("done", "step_count", "episode_reward")
-"""The entries of the next state that say how an episode came out."""
 
 
 class Episodes:
@@ -182,31 +177,3 @@ def entry(tensordict: TensorDictBase, key: NestedKey) -> Any:
     if value is None:
         raise KeyError(f"the data have no entry {key!r}")
     return value
-
-
-def outcomes(
-    data: TensorDictBase, episodes_per_update: int = 1
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Score and number of frames of every episode in a collector's data, in their order.
-
-    Returns:
-        Each [active], or [active, k] where every trial has k > 1 episodes.
-
-    Raises:
-        ValueError: if the data are not whole episodes.
-    """
-    after = data.get("next")
-    done, steps, total = (entry(after, name).numpy().reshape(-1) for name in OUTCOMES)
-    (last,) = done.nonzero()
-    frames = steps[last]
-    if not len(last) or last[-1] != len(done) - 1 or not _whole(last, frames):
-        raise ValueError("the data are not whole episodes, each with its step_count from 1 on")
-    scores = total[last].astype(np.float64)
-    if episodes_per_update == 1:
-        return scores, frames
-    return scores.reshape(-1, episodes_per_update), frames.reshape(-1, episodes_per_update)
-
-
-def _whole(last: NDArray[np.int64], frames: NDArray[np.int64]) -> bool:
-    """Whether every episode has as many frames as its last one counts."""
-    return bool((np.diff(last, prepend=-1) == frames).all())

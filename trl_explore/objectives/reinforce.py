@@ -295,11 +295,6 @@ class ReinforceLoss(LossModule):
         out[mask] = flat
         return out
 
-    @property
-    def divisible(self) -> bool:
-        """Whether some trials' losses need no others' data; what learns in ``step`` needs all."""
-        return not (self.trials is None or self.baseline.learns_from_data)
-
     def step(self, tensordict: TensorDictBase) -> None:
         """Let the baseline learn from an iteration's data: once, after the update."""
         if self.baseline.learns_from_data:

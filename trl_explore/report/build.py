@@ -50,7 +50,6 @@ def build_report(
         evidence=evidence,
         figures=figures,
         tables=tables,
-        claims=claims_table(evidence.checked),
         jobs=jobs_table(evidence),
         gaps=gaps_table(evidence),
         why=why_tables(evidence),
@@ -62,7 +61,7 @@ def build_report(
             _write(out / FIGURES / f"{figure.id}.svg", figure.svg)
             _fresh(out / FIGURES / f"{figure.id}.png").write_bytes(figure.png)
     for table in [
-        content.claims, content.jobs, content.gaps, *content.why,
+        claims_table(evidence.checked), content.jobs, content.gaps, *content.why,
         *(t for part in tables.values() for t in part),
     ]:  # fmt: skip
         _write_table(out / TABLES, table)

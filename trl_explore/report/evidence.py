@@ -197,7 +197,7 @@ def _cut_short(group: Group) -> tuple[str, ...]:
 
 def _sentences(group: Group, comparisons: Sequence[Comparison]) -> tuple[str, ...]:
     if group.plane is not None:
-        return plane_sentences(group.configurations, comparisons, group.labels, LEVEL)
+        return plane_sentences(group.configurations, comparisons, group.labels)
     if group.crossed is not None and comparisons:
         rows, options = group.crossed.rows, group.crossed.options
         cells = {name: (rows[r], options[o]) for (r, o), name in group.crossed.cells.items()}

@@ -37,7 +37,6 @@ class Content:
     evidence: Evidence
     figures: Mapping[str, Sequence[Drawn]]
     tables: Mapping[str, Sequence[Table]]
-    claims: Table
     jobs: Table
     gaps: Table
     why: Sequence[Table] = ()

@@ -18,7 +18,6 @@ def answer(
     comparisons: Sequence[Comparison],
     *,
     labels: Mapping[str, str] | None = None,
-    level: float = LEVEL,
 ) -> tuple[str, str]:
     """State which configuration converges fastest, and which differences are real.
 
@@ -30,7 +29,6 @@ def answer(
         configurations: the configurations of one experiment, any number.
         comparisons: ``compare_all`` of them; empty where they cannot be compared.
         labels: what to call a configuration instead of its name.
-        level: confidence level, also of ``comparisons``.
 
     Returns:
         Two sentences, plain text that is not escaped.
@@ -38,7 +36,7 @@ def answer(
     """
     name = {c.name: (labels or {}).get(c.name, c.name) for c in configurations}
     return (
-        _fastest(configurations, comparisons, name, level),
+        _fastest(configurations, comparisons, name),
         _differences(configurations, comparisons, name),
     )
 
@@ -135,15 +133,14 @@ def plane_sentences(
     configurations: Sequence[Outcomes],
     comparisons: Sequence[Comparison],
     labels: Mapping[str, str],
-    level: float,
 ) -> tuple[str, ...]:
     """How much of a plane passes, where it is fastest, and which points beat the reference."""
-    rates = [pass_rate(int(c.converged.sum()), len(c), level=level) for c in configurations]
+    rates = [pass_rate(int(c.converged.sum()), len(c)) for c in configurations]
     best = min(configurations, key=lambda c: float(c.durations.mean()))
     text = (
         f"Of {len(configurations)} points, {sum(r.above(0.8) for r in rates)} pass in more than"
         f" 80 % of trials and {sum(r.below(0.2) for r in rates)} in less than 20 % (intervals of"
-        f" {100 * level:g} %); the smallest mean, {best.durations.mean():.0f} iterations, was seen"
+        f" {100 * LEVEL:g} %); the smallest mean, {best.durations.mean():.0f} iterations, was seen"
         f" at {labels[best.name]}, which as the best of so many is flattered by chance."
     )
     if not comparisons:
@@ -163,13 +160,12 @@ def _fastest(
     configurations: Sequence[Outcomes],
     comparisons: Sequence[Comparison],
     name: Mapping[str, str],
-    level: float,
 ) -> str:
     if not configurations:
         return "No finished configuration was found, so that nothing can be said."
     if len(configurations) == 1:
         only = configurations[0]
-        passes = _passes(only, level)
+        passes = _passes(only)
         return f"Only {name[only.name]} was run: {passes}, with nothing to compare it to."
     passing = [c for c in configurations if c.converged.any()]
     if not passing:
@@ -187,7 +183,7 @@ def _fastest(
         return (
             f"No single configuration of {len(configurations)} is fastest: {name[best.name]}"
             f" cannot be told apart from {others} in iterations to convergence"
-            f" at the {100 * level:g} % level."
+            f" at the {100 * LEVEL:g} % level."
         )
     second = min(rivals, key=lambda c: float(c.durations.mean()))
     margin = next(c for c in comparisons if {c.a, c.b} == {best.name, second.name})
@@ -197,8 +193,8 @@ def _fastest(
         f"{_capital(name[best.name])} converges fastest of {len(configurations)} configurations:"
         f" it needs {best.durations.mean():.0f} iterations on average (counted to the cap of"
         f" {best.cap}), {-sign * margin.difference.value:.0f} fewer than the next,"
-        f" {name[second.name]} ({100 * level:g} % interval {low:.0f} to {high:.0f}), and"
-        f" {_passes(best, level)}."
+        f" {name[second.name]} ({100 * LEVEL:g} % interval {low:.0f} to {high:.0f}), and"
+        f" {_passes(best)}."
     )
 
 
@@ -227,13 +223,13 @@ def _winner(a: str, b: str, comparisons: Sequence[Comparison]) -> str | None:
     return next((c.winner for c in comparisons if {c.a, c.b} == {a, b}), None)
 
 
-def _passes(c: Outcomes, level: float) -> str:
+def _passes(c: Outcomes) -> str:
     k, n = int(c.converged.sum()), len(c)
     if n == 0:
         return "it has no trials"
-    rate = pass_rate(k, n, level=level)
+    rate = pass_rate(k, n)
     bounds = f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %"
-    return f"it passes in {k} of {n} trials ({100 * level:g} % interval {bounds})"
+    return f"it passes in {k} of {n} trials ({100 * LEVEL:g} % interval {bounds})"
 
 
 def _identical(c: Comparison) -> bool:

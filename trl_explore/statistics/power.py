@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from trl_explore.statistics.estimates import LEVEL, check_level, normal_quantile
+from trl_explore.statistics.estimates import LEVEL, check_level
 
 POWER = 0.80
 # Beyond this a number of trials is no advice but a sign that the difference is nil.
@@ -112,4 +112,4 @@ def _z(power: float, level: float) -> tuple[float, float]:
     check_level(level)
     if not 0.0 < power < 1.0:
         raise ValueError(f"power={power}: a power lies in (0, 1), for example 0.8")
-    return normal_quantile(level), float(stats.norm.ppf(power))
+    return float(stats.norm.ppf((1 + level) / 2)), float(stats.norm.ppf(power))

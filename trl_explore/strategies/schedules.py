@@ -249,6 +249,32 @@ class Piecewise(Schedule):
         return min(values), max(values)
 
 
+class Rows(Schedule):
+    """The values of some of the trials, of a schedule with one value per trial.
+
+    Args:
+        schedule: the schedule of all trials.
+        rows: which trials.
+
+    Example:
+        >>> Rows(Constant([0.1, 0.2, 0.3]), slice(1, 3))(0)
+        array([0.2, 0.3])
+    """
+
+    def __init__(self, schedule: Schedule, rows: slice) -> None:
+        self.schedule, self.rows = schedule, rows
+
+    def __call__(self, iteration: int) -> Value:
+        """The values in ``iteration``, counted from 0."""
+        value = self.schedule(iteration)
+        return value[self.rows] if isinstance(value, np.ndarray) else value
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Those of all trials."""
+        return self.schedule.bounds
+
+
 def as_schedule(
     name: str,
     value: float | Sequence[float] | Schedule,

@@ -15,6 +15,7 @@ from torchrl.data import Categorical, Composite, OneHot, TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
 
 from trl_explore.checks import settle
+from trl_explore.strategies.schedules import Rows, Schedule
 
 
 class BaseStrategy(TensorDictModuleBase):
@@ -95,6 +96,26 @@ class BaseStrategy(TensorDictModuleBase):
         Raises:
             ValueError: if a parameter has one value per trial, but not for all.
         """
+
+    def take(self, rows: slice, trials: int) -> None:
+        """Serve only these of the trials: parameters with one value per trial are cut to them.
+
+        Args:
+            rows: which trials.
+            trials: the number of all trials.
+
+        Raises:
+            ValueError: if a parameter has one value per trial, but not for all.
+        """
+        schedules = {k: value for k, value in vars(self).items() if isinstance(value, Schedule)}
+        for name, schedule in schedules.items():
+            value = schedule(self.iteration)
+            if isinstance(value, np.ndarray):
+                if len(value) != trials:
+                    raise ValueError(
+                        f"{name} has {len(value)} values, but there are {trials} trials"
+                    )
+                setattr(self, name, Rows(schedule, rows))
 
     def begin(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
         """Prepare for the next episode of the active trials.

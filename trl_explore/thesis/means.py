@@ -145,12 +145,12 @@ def random_averages_25(study: Study, rng: np.random.Generator) -> Finding:
 
 
 def variation(strategy: str, low: float, high: float) -> UnitDecision:
-    """Low ≤ s / x̄ ≤ high: the coefficient of variation of a strategy."""
+    """The coefficient of variation s / x̄ of a strategy lies in [low, high]."""
     return _one_sample(_variation, "sd / mean", strategy, (low, high))
 
 
 def skewness(strategy: str, low: float, high: float) -> UnitDecision:
-    """Low ≤ m₃ / m₂^(3/2) ≤ high: the skewness of a strategy."""
+    """The skewness m₃ / m₂^(3/2) of a strategy lies in [low, high]."""
     return _one_sample(_skewness, "skewness", strategy, (low, high))
 
 

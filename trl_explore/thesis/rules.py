@@ -70,7 +70,10 @@ UnitDecision = Callable[[Study, np.random.Generator, str], Finding]
 def share(
     count: float, n: int, what: str, *, above: float | None = None, below: float | None = None
 ) -> Rule:
-    """The share is p > ``above``, or p < ``below``, by Wilson's interval of ``what``."""
+    """Share of trials p > ``above``, or p < ``below``, by Wilson's interval.
+
+    ``what`` continues "28 of 30", as in "softmax trials pass".
+    """
     if above is None:
         assert below is not None
         return contrary(share(count, n, what, above=below))
@@ -118,7 +121,7 @@ def mean_less(
 def within(
     estimate: Callable[[float], Estimate], n: int, low: float, high: float, what: str
 ) -> Rule:
-    """Low ≤ θ ≤ high: holds where the interval lies inside, fails where it lies outside.
+    """θ in [low, high]: holds where its interval lies inside, fails where it lies outside.
 
     Half-lines (``low`` = -inf) are allowed. ``n`` is the number of trials behind the estimate.
     """

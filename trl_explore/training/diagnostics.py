@@ -158,6 +158,11 @@ class Diagnostics:
         table = np.concatenate([np.empty((0, len(COLUMNS)), np.float32), *self._rows])
         return dict(zip(COLUMNS, table.T, strict=True))
 
+    def iterations(self) -> NDArray[np.int64]:
+        """The iteration of every entry of ``columns``, from 1."""
+        counts = [len(rows) for rows in self._rows]
+        return np.repeat(np.arange(1, len(counts) + 1), counts)
+
     def state_dict(self) -> dict[str, Any]:
         """The cells visited; the record is in ``history``."""
         sizes = [len(cells) for cells in self.visited]

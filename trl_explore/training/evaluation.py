@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from trl_explore.checks import check_integer
 from trl_explore.collectors import EpisodeCollector
-from trl_explore.objectives.episodes import outcomes
 from trl_explore.strategies import (
     Argmax,
     BaseStrategy,
@@ -59,7 +58,7 @@ class Evaluator:
         k = self.collector.episodes_per_update
         # All trials count alike, so that an evaluation does not depend on who has stopped.
         self.collector.episodes[:] = k * (iteration // self.every - 1)
-        scores, _ = outcomes(self.collector.collect(active))
+        scores = self.collector.collect(active).score
         trial, columns = np.flatnonzero(active), scores.reshape(-1, k)
         for j in range(k):
             self._window[trial, (self._filled + j) % self._window.shape[1]] = columns[:, j]

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -58,13 +58,36 @@ class Trials:
         self.score = np.zeros(n)
         """The mean score over the last ``score_window`` episodes, or over all while fewer [n]."""
         self._episode_score = np.zeros(n)
-        self._n_converged = 0
         self._n_episodes = 0
         self._window = np.zeros((self.score_window, n))
         self._sum = np.zeros(n)
         """Of the scores in the window, those to come being 0 [n]."""
         self._episodes: list[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]] = []
-        self._curves: list[tuple[float, ...]] = []
+
+    @classmethod
+    def joined(cls, parts: Sequence[Trials]) -> Trials:
+        """The record of all trials of the parts, in their order; it takes no further iterations."""
+        first, *others = parts
+        if not others:
+            return first
+        out = cls(
+            sum(map(len, parts)),
+            max_iterations=first.max_iterations,
+            score_threshold=first.score_threshold,
+            score_window=first.score_window,
+        )
+        for name in ("_status", "active", "iterations", "frames", "seconds", "score"):
+            setattr(out, name, np.concatenate([getattr(part, name) for part in parts]))
+        offsets = np.cumsum([0, *map(len, parts)])
+        for i in range(max(part.iteration for part in parts)):
+            rows = [
+                (trial + offset, scores, frames)
+                for part, offset in zip(parts, offsets.tolist(), strict=False)
+                for trial, scores, frames in part._episodes[i : i + 1]
+            ]
+            trial, scores, frames = map(np.concatenate, zip(*rows, strict=True))
+            out._episodes.append((trial, scores, frames))
+        return out
 
     def __len__(self) -> int:
         return len(self._status)
@@ -89,31 +112,35 @@ class Trials:
                 [active], or [active, k] with k episodes for each.
             frames: their numbers of frames, in the same shape.
             diverged: whether the trial has left the finite numbers [active].
-            seconds: wall time since the batch began.
+            seconds: wall time since the first iteration of these trials began [s].
             passed: whether the trial has converged, where something else than its training scores
                 decides that [active].
         """
         (trial,) = self.active.nonzero()
-        self._episodes.append((trial, scores, frames))
-        columns = scores.reshape(len(trial), -1)
-        first, width = self._n_episodes, columns.shape[1]
-        self._n_episodes += width
-        highest = _enter(
-            trial, columns, frames.reshape(columns.shape), first % self.score_window,
-            min(self._n_episodes, self.score_window), seconds, *(getattr(self, n) for n in _ROWS),
-        )  # fmt: skip
-
-        # In its last iteration a trial counts with its episode, from then on with its final score.
-        episode_score = np.add.reduce(self._episode_score) / len(self)
+        highest = self._enter(trial, scores, frames, seconds)
         full = self._n_episodes >= self.score_window
         some = (full and highest > self.score_threshold) if passed is None else passed.any()
         if some or diverged.any() or self.iteration >= self.max_iterations:
             if passed is None:
                 passed = (self.score[trial] > self.score_threshold) & full
             self._stop(trial, passed & ~diverged, diverged)
-        score = np.add.reduce(self.score) / len(self)
-        active = int(np.count_nonzero(self.active))
-        self._curves.append((episode_score, score, active, self._n_converged))
+
+    def _enter(
+        self,
+        trial: NDArray[np.int64],
+        scores: NDArray[np.float64],
+        frames: NDArray[np.int64],
+        seconds: float,
+    ) -> float:
+        """Enter the episodes of these trials; the highest of their final scores."""
+        self._episodes.append((trial, scores, frames))
+        columns = scores.reshape(len(trial), -1)
+        first = self._n_episodes % self.score_window
+        self._n_episodes += columns.shape[1]
+        return _enter_rows(
+            trial, columns, frames.reshape(columns.shape), first,
+            min(self._n_episodes, self.score_window), seconds, *(getattr(self, n) for n in _ROWS),
+        )  # fmt: skip
 
     def _stop(
         self, trial: NDArray[np.int64], passed: NDArray[np.bool_], diverged: NDArray[np.bool_]
@@ -123,9 +150,6 @@ class Trials:
         if self.iteration >= self.max_iterations:
             self._status[self._status == ACTIVE] = CAPPED
         self.active = self._status == ACTIVE
-        self._n_converged = int(np.count_nonzero(self.converged))
-        stopped = trial[~self.active[trial]]
-        self._episode_score[stopped] = self.score[stopped]  # carried forward from here on
 
     @property
     def status(self) -> NDArray[np.str_]:
@@ -138,8 +162,28 @@ class Trials:
         return self._status == CONVERGED
 
     def curves(self) -> dict[str, NDArray[np.float64]]:
-        """Averages over all trials after every iteration, each [iterations]."""
-        return dict(zip(CURVES, np.array(self._curves, dtype=np.float64).T, strict=True))
+        """Averages over all trials after every iteration, each [iterations].
+
+        In its last iteration a trial counts with its episode, from then on with its final score.
+        """
+        again, n, stopped = (
+            Trials(len(self), score_window=self.score_window),
+            len(self),
+            ~self.active,
+        )
+        ends, converged = (
+            np.bincount(self.iterations[which], minlength=self.iteration + 1)[1:]
+            for which in (stopped, self.converged)
+        )
+        averages = np.empty((2, self.iteration))
+        for i, (trial, scores, frames) in enumerate(self._episodes):
+            again._enter(trial, scores, frames, 0.0)
+            averages[:, i] = np.add.reduce(again._episode_score), np.add.reduce(again.score)
+            if ends[i]:
+                last = trial[(self.iterations[trial] == i + 1) & stopped[trial]]
+                again._episode_score[last] = again.score[last]
+        counts = np.stack([n - ends.cumsum(), converged.cumsum()]).astype(np.float64)
+        return dict(zip(CURVES, [*averages / n, *counts], strict=True))
 
     def episodes(self) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
         """One row for each episode, by iteration and then trial."""
@@ -176,7 +220,6 @@ class Trials:
             getattr(self, name)[:] = state[name]
         self._status[:] = state["status"]
         self.active = self._status == ACTIVE
-        self._n_converged = int(np.count_nonzero(self.converged))
         self._n_episodes = int(state["episodes"])
 
     def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
@@ -184,8 +227,8 @@ class Trials:
 
         Returns:
             "rows" and "width" [iterations], the numbers of active trials and of episodes of each;
-            "curves" [iterations, 4]; and by iteration and then trial "trial" [rows], "score" and
-            "frames" [rows * width], in the smallest of a few types that holds them exactly.
+            and by iteration and then trial "trial" [rows], "score" and "frames" [rows * width],
+            in the smallest of a few types that holds them exactly.
         """
         part = self._episodes[since:until]
         columns = list(zip(*part, strict=True)) or [(), (), ()]
@@ -196,7 +239,6 @@ class Trials:
         return {
             "rows": np.array([len(entry[0]) for entry in part], dtype=np.int64),
             "width": np.array([entry[1].size // len(entry[0]) for entry in part], dtype=np.int64),
-            "curves": np.array(self._curves[since:until], dtype=np.float64).reshape(-1, 4),
             "trial": _small(trial, np.int32),
             "score": _small(score, np.float32),
             "frames": _small(frames, np.int32),
@@ -213,15 +255,14 @@ class Trials:
             cells = score[start:stop].reshape(shape), frames[start:stop].reshape(shape)
             self._episodes.append((trial[low:high], *cells))
             low, start = high, stop
-        self._curves += [tuple(row) for row in columns["curves"].tolist()]
 
 
 _ROWS = ("iterations", "frames", "seconds", "score", "_episode_score", "_window", "_sum")
-"""What ``_enter`` changes, all with an entry for each trial."""
+"""What ``_enter_rows`` changes, all with an entry for each trial."""
 
 
 @compiled(arrays)
-def _enter(
+def _enter_rows(
     trial, scores, counts, first, filled, now, iterations, frames, seconds, score, episode_score,
     window, window_sum,
 ):  # fmt: skip

@@ -12,7 +12,6 @@ from tensordict import TensorDictBase
 
 from trl_explore.collectors import EpisodeCollector
 from trl_explore.numerics.compiled.cache import clock
-from trl_explore.objectives.episodes import outcomes
 from trl_explore.training.diagnostics import Diagnostics
 from trl_explore.training.evaluation import Evaluator
 from trl_explore.training.optimizers import TrialOptimizer, Views, all_finite
@@ -23,11 +22,6 @@ class TrialLoss(Protocol):
     """What the trainer needs of a loss."""
 
     reduction: str
-
-    @property
-    def divisible(self) -> bool:
-        """Whether some trials' losses need no others' data, and ``step`` needs no data at all."""
-        ...
 
     def backward(self, tensordict: TensorDictBase) -> torch.Tensor:
         """Add the gradients of all losses to those of the parameters; the loss of each trial."""
@@ -98,15 +92,27 @@ class Trainer:
         self.parts: dict[str, Any] = {k: part for k, part in parts.items() if part is not None}
         """Everything with a state, by name: whatever joins the loop is entered here."""
 
-    def run(self) -> Trials:
-        """Train until every trial has stopped."""
+    def run(self, stopped: Callable[[], bool] = lambda: False) -> Trials:
+        """Train until every trial has stopped, or ``stopped`` says so between two iterations."""
         started = clock() - self.seconds
-        while self.trials.active.any():
+        while self.trials.active.any() and not stopped():
             self._iterate(started)
             self.seconds = clock() - started
             if self.on_iteration is not None:
                 self.on_iteration(self.trials)
         return self.trials
+
+    @property
+    def parallel(self) -> bool:
+        """Whether trainers of several threads run at the same time."""
+        evaluates = self.evaluator is None or self.evaluator.collector.parallel
+        return self.collector.parallel and evaluates
+
+    def close(self) -> None:
+        """Close the environments, and let go of the memory for frames."""
+        self.collector.shutdown()
+        if self.evaluator is not None:
+            self.evaluator.collector.shutdown()
 
     def state_dict(self) -> dict[str, Any]:
         """The state of every part between two iterations, but for what ``history`` gives.
@@ -141,43 +147,16 @@ class Trainer:
     def _iterate(self, started: float) -> None:
         active = self.trials.active
         self.optimizer.zero_grad()
-        (scores, frames), trial_loss, data = self._learn(active)
-        if self.diagnostics is not None and data is not None:
-            self.diagnostics.record(data, active)
+        frames, scores, lengths = self.collector.collect(active)
+        trial_loss = self.loss.backward(frames)
+        if self.diagnostics is not None:
+            self.diagnostics.record(frames, active)
         self.optimizer.step(torch.from_numpy(active))
-        if data is not None:
-            self.loss.step(data)
-        self.collector.strategy.step(data)
+        self.loss.step(frames)
+        self.collector.strategy.step(frames)
         diverged = self._diverged(trial_loss, active)
         passed = self._evaluate(active)
-        self.trials.record(scores, frames, diverged, clock() - started, passed)
-
-    def _learn(
-        self, active: NDArray[np.bool_]
-    ) -> tuple[tuple[NDArray[Any], ...], torch.Tensor, TensorDictBase | None]:
-        """Collect, and form the gradients: outcomes, the loss of each trial, and the data.
-
-        Data of thousands of trials do not fit into the processor's cache. Where nobody needs them
-        as a whole, trials are taken block by block, and the data given away.
-        """
-        count = -(-np.count_nonzero(active) // self.collector.block) if self._divisible() else 1
-        if count == 1:
-            data = self.collector.collect(active)
-            outcome = outcomes(data, self.collector.episodes_per_update)
-            return outcome, self.loss.backward(data), data
-        parts, trial_loss = [], torch.zeros(())
-        for block in np.array_split(np.flatnonzero(active), count):
-            some = np.zeros_like(active)
-            some[block] = True
-            data = self.collector.collect(some)
-            parts.append(outcomes(data, self.collector.episodes_per_update))
-            trial_loss = trial_loss + self.loss.backward(data)
-        return tuple(map(np.concatenate, zip(*parts, strict=True))), trial_loss, None
-
-    def _divisible(self) -> bool:
-        """Whether an iteration may be taken block by block."""
-        learns = self.collector.strategy.learns_from_data
-        return self.loss.divisible and self.diagnostics is None and not learns
+        self.trials.record(scores, lengths, diverged, clock() - started, passed)
 
     def _evaluate(self, active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
         """Evaluate if it is time to; who has passed by it [active], if that is what counts."""

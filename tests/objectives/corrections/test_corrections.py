@@ -140,7 +140,7 @@ def gradient_of_behaviour(strategy, policy, env):
     policy = policy(env)
     actor = actor_of(policy)
     loss = ReinforceLoss(actor, correction=Behaviour(), strategy=strategy, functional=False)
-    data = TorchRLCollector(env, TensorDictSequential(policy, strategy)).collect()
+    data = TorchRLCollector(env, TensorDictSequential(policy, strategy)).collect().frames
     loss(data)["loss_actor"].backward()
     return [cast(torch.Tensor, parameter.grad) for parameter in policy.parameters()]
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import partial
-from itertools import pairwise
 from typing import Any, cast
 
 import gymnasium as gym
@@ -19,22 +17,19 @@ from gymnasium.wrappers import (
     TimeLimit,
 )
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torch import nn
 from torchrl.data import OneHot
 from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
-from trl_explore.checks import MAX_THREADS, check_integer
-from trl_explore.collectors.collector import EpisodeCollector
-from trl_explore.collectors.fused.columns import Columns, Part, grow, joined
+from trl_explore.collectors.collector import EpisodeCollector, Rollout
+from trl_explore.collectors.fused.columns import Columns
 from trl_explore.collectors.fused.loop import compile_loop
 from trl_explore.collectors.fused.networks import Network, arrays, network_of
 from trl_explore.collectors.fused.scratch import scratch
 from trl_explore.envs import lane_env
 from trl_explore.envs.kernels import Kernel, kernel_of
-from trl_explore.numerics.crew import together
 from trl_explore.numerics.streams import Stream, key
 from trl_explore.policies.policy import is_one_hot
 from trl_explore.strategies import MixtureStrategy
@@ -42,10 +37,6 @@ from trl_explore.strategies import MixtureStrategy
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
 TRANSFORMS = (StepCounter, RewardSum)
 
-MIN_TRIALS = 32
-"""Trials for each thread below which dividing them costs more than it saves."""
-BLOCK = 2048
-"""Trials whose frames are better had at once than those of more."""
 FIRST_FRAMES = 256
 """Frames of an episode that there is room for at first."""
 
@@ -61,13 +52,12 @@ class FusedCollector(EpisodeCollector):
     and the strategy's mixture; the same seed gives the same episodes as the ``TorchRLCollector``,
     up to floating-point rounding. Arguments and data are those of ``EpisodeCollector``.
 
-    Keyword Args:
-        threads: the number of threads among which trials are divided; the data do not depend on it.
-
     Raises:
         NotCompilableError: with the reason, if the environment has no kernel, or a wrapper,
             transform, policy or strategy is not of a kind that the loop knows.
     """
+
+    parallel = True
 
     def __init__(
         self,
@@ -75,7 +65,6 @@ class FusedCollector(EpisodeCollector):
         policy: TensorDictSequential,
         *,
         exploration_type: ExplorationType | None = None,
-        threads: int = 1,
         **options: Any,
     ) -> None:
         super().__init__(env, policy, exploration_type=exploration_type, **options)
@@ -85,15 +74,13 @@ class FusedCollector(EpisodeCollector):
             raise NotCompilableError(f"{name} prepares for every episode, and there are several")
         masked = has_mask(env)
         self._loop = compile_loop(self.kernel, self.network, masked)
-        self.threads = check_integer("threads", threads, 1, MAX_THREADS)
-        self.block = BLOCK * threads
-        n_masks = self.kernel.n_actions if masked else 0
-        self._columns = [Columns(self.kernel.n_features, n_masks) for _ in range(threads)]
-        episodes = self.trials * self.episodes_per_update
-        sizes = self.kernel, self.network, self.lanes.max_steps, masked, episodes
-        self._scratches = [scratch(*sizes) for _ in range(threads)]
+        self._columns = Columns(self.kernel.n_features, self.kernel.n_actions if masked else 0)
+        self._scratch = scratch(
+            self.kernel, self.network, self.lanes.max_steps, masked,
+            self.trials * self.episodes_per_update,
+        )  # fmt: skip
 
-    def _collect(self, active: NDArray[np.bool_]) -> TensorDictBase:
+    def _collect(self, active: NDArray[np.bool_]) -> Rollout:
         (trials,) = active.nonzero()
         self.strategy.begin(active, self.episodes)
         episodes = self.episodes[trials]
@@ -101,9 +88,25 @@ class FusedCollector(EpisodeCollector):
             numbers = np.arange(self.episodes_per_update)
             trials = np.repeat(trials, self.episodes_per_update)
             episodes = (episodes[:, None] + numbers).reshape(-1)
-        parts = self._divide(trials, episodes)
-        self._run(parts, self._context())
-        return joined(parts)
+        score, length = np.empty(len(trials)), np.empty(len(trials), dtype=np.int64)
+        context, columns = self._context(), self._columns
+        columns.reserve(FIRST_FRAMES * len(trials))
+        done = place = 0
+        while True:
+            done, place = self._loop(
+                self.kernel.parameters, trials, episodes, *context, self._scratch, columns.arrays,
+                score, length, done, place,
+            )  # fmt: skip
+            if done == len(trials):
+                return Rollout(columns.frames(place), score, length)
+            columns.reserve(2 * columns.capacity, keep=place)
+
+    def shutdown(
+        self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True
+    ) -> None:
+        """Close the environment, and let go of the memory for frames."""
+        super().shutdown(timeout, close_env, raise_on_error)
+        self._columns = Columns(0)
 
     def _context(self) -> tuple[Any, ...]:
         """What the loop is told of the policy, the strategy and the random streams."""
@@ -118,35 +121,6 @@ class FusedCollector(EpisodeCollector):
             self._mixture(),
             explore,
         )
-
-    def _divide(self, trials: NDArray[np.int64], episodes: NDArray[np.int64]) -> list[Part]:
-        """A part of the episodes for each thread, but no small ones."""
-        count = max(1, min(self.threads, len(trials) // MIN_TRIALS))
-        if count == 1:
-            return [Part(self._columns[0], self._scratches[0], trials, episodes)]
-        edges = [len(trials) * i // count for i in range(count + 1)]
-        # The two parts in the middle share the first columns, of which one fills the frames
-        # before the middle, and the other those behind it.
-        middle = count // 2
-        columns = [self._columns[0] if i in (middle - 1, middle) else None for i in range(count)]
-        others = iter(self._columns[1:])
-        return [
-            Part(
-                columns[i] or next(others), self._scratches[i], trials[low:high],
-                episodes[low:high], backwards=i == middle - 1,
-            )
-            for i, (low, high) in enumerate(pairwise(edges))
-        ]  # fmt: skip
-
-    def _run(self, parts: list[Part], context: tuple[Any, ...]) -> None:
-        """Run all parts to their end, with more memory as often as it takes."""
-        grow(parts, FIRST_FRAMES)
-        left = parts
-        while left:
-            together([partial(p.run, self._loop, self.kernel.parameters, context) for p in left])
-            left = [part for part in left if len(part.trials)]
-            if left:
-                grow(parts)
 
     def _mixture(self) -> NDArray[np.float64]:
         """Weights and temperature [4, 1], or [4, trials] where they differ between trials."""

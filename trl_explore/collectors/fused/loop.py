@@ -42,8 +42,6 @@ from trl_explore.collectors.fused.mixing import compile_mixing, load_point
 from trl_explore.collectors.fused.networks import Network, compile_network
 from trl_explore.collectors.fused.scratch import Scratch, compile_deliver, is_narrow, row_of
 from trl_explore.envs.kernels import Kernel
-from trl_explore.numerics import bell as bell_module
-from trl_explore.numerics.bell import ring
 from trl_explore.numerics.compiled import arrays, elementary, layers, philox
 from trl_explore.numerics.compiled.arrays import borrow, lane, on_stack
 from trl_explore.numerics.compiled.cache import compiled, kernel_function
@@ -51,7 +49,7 @@ from trl_explore.numerics.compiled.philox import STATE_SIZE, begin
 
 INLINED = (
     *(lanes_module, scratch_module, mixing, networks),
-    *(arrays, bell_module, elementary, layers, philox),
+    *(arrays, elementary, layers, philox),
 )
 """The modules that are compiled into the loop, besides this one and the kernel's own."""
 
@@ -64,15 +62,14 @@ def compile_loop(
     The function returned has the signature
 
         loop(parameters, trials, episodes, first_trial, env_key, action_key, weights, mixture,
-             explore, memory, columns, place, backwards, bell) -> (trials done, place)
+             explore, memory, columns, score, length, done, place) -> (done, place)
 
     with trials and episodes [m] int64 (rows of the weights and the numbers of their episodes),
     weights of ``networks.arrays``, mixture [4, 1 or *] float64 (greedy, softmax, uniform,
     temperature), explore whether to draw actions or to take the first of largest logit, memory of
-    ``scratch.scratch``, and columns the arrays of ``columns.Columns``, which it fills from frame
-    ``place`` on. Backwards, it takes the last trials first, and fills the frames before ``place``.
-    It begins by ringing the ``bell`` (``bell.ring``), so that other threads begin as well.
-    It stops before a group of trials whose episodes do not fit.
+    ``scratch.scratch``, and columns the arrays of ``columns.Columns``. It runs the episodes from
+    number ``done`` on, writes their frames from frame ``place`` on, and their outcomes to score
+    [m] float64 and length [m] int64. It stops before a group of episodes that does not fit.
 
     Args:
         kernel: the environment.
@@ -170,9 +167,8 @@ def _compile(  # noqa: C901 - the parts of one compiled function
 
     def loop(
         parameters, trials, episodes, first_trial, env_key, action_key, weights, mixture,
-        explore, memory, columns, place, backwards, bell,
+        explore, memory, columns, score, length, done, place,
     ):  # fmt: skip
-        ring(bell)
         arrays, width, max_steps = memory
         # The argument is no named tuple: numba could not read its cache once the class has moved.
         scratch = Scratch(*arrays)
@@ -181,11 +177,9 @@ def _compile(  # noqa: C901 - the parts of one compiled function
             probs_lanes(), work_lanes(), place_lanes(), value_lanes(), over_lanes(),
         )  # fmt: skip
         clear(lanes)
-        done = 0
         while done < len(trials):
             n = min(len(scratch.steps), len(trials) - done)
-            first = len(trials) - done - n if backwards else done
-            group, numbers = trials[first : first + n], episodes[first : first + n]
+            group, numbers = trials[done : done + n], episodes[done : done + n]
             left = begun = t = 0
             while left > 0 or begun < n:
                 if t & 3 == 0:
@@ -208,14 +202,13 @@ def _compile(  # noqa: C901 - the parts of one compiled function
             total = 0
             for slot in range(n):
                 total += scratch.steps[slot]
-            if total > (place if backwards else len(columns[0]) - place):
+            if total > len(columns[0]) - place:
                 return done, place
-            start = place - total if backwards else place
-            place = start if backwards else start + total
             for slot in range(n):
-                deliver(scratch, columns, slot, max_steps, group[slot], start)
-                start += scratch.steps[slot]
-            done += n
+                score[done] = deliver(scratch, columns, slot, max_steps, group[slot], place)
+                length[done] = scratch.steps[slot]
+                place += scratch.steps[slot]
+                done += 1
         return done, place
 
     return compiled(*INLINED, key=(state_size, network, mask is not None, digest))(loop)

@@ -85,6 +85,8 @@ def row_of(frames, lanes, j, size):
 def compile_deliver(record: int, narrow: bool, n_features: int, n_masks: int) -> Any:
     """The function that writes the episode in a slot to the frames of the data from ``start`` on.
 
+    It returns the episode's score.
+
     One loop for each column, or two that go together, becomes vector instructions.
     """
 
@@ -122,6 +124,7 @@ def compile_deliver(record: int, narrow: bool, n_features: int, n_masks: int) ->
         done[end - 1] = True
         terminated[end - 1] = scratch.ended[slot]
         truncated[end - 1] = n == max_steps
+        return total[n - 1]
 
     return deliver
 

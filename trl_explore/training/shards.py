@@ -1,0 +1,153 @@
+"""The trials of a job in shards, each trained from first episode to last by one thread.
+
+Trials are independent, and a trial is the same agent in whatever company it runs. So shards need
+nothing of each other, and their results are joined once, at the end: every file of a job is the
+same for every partition and any number of threads.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from itertools import accumulate, pairwise
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from trl_explore.numerics.compiled.cache import clock
+from trl_explore.training.record import Trials
+from trl_explore.training.trainer import Trainer
+
+LARGEST = 2048
+"""Trials of a shard at most: the frames of an iteration should stay in the processor's cache."""
+SMALLEST = 128
+"""Trials of a shard at least: below, an iteration is mostly Python, which threads do not share."""
+LOOK = 0.1
+"""Seconds between two looks of the main thread for signals."""
+
+
+def partition(trials: int, threads: int = 1) -> list[int]:
+    """The sizes of the shards of a job.
+
+    Example:
+        >>> partition(300), partition(300, threads=2), partition(30, threads=2)
+        ([300], [150, 150], [30])
+        >>> partition(5000)
+        [1666, 1667, 1667]
+    """
+    count = max(1, -(-trials // LARGEST), min(threads, trials // SMALLEST))
+    if count >= threads:
+        count += -count % threads  # all threads have work to the end
+    edges = [trials * k // count for k in range(count + 1)]
+    return [high - low for low, high in pairwise(edges)]
+
+
+class Shards:
+    """Trains the shards of a job and joins what they give.
+
+    Args:
+        trainers: one for each shard, in the order of the trials.
+
+    Attributes:
+        offsets: the number of trials before each shard.
+    """
+
+    def __init__(self, trainers: Sequence[Trainer]) -> None:
+        self.trainers = list(trainers)
+        self.offsets = [0, *accumulate(len(trainer.trials) for trainer in trainers)][:-1]
+        self._before, self._started = 0.0, None
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of the training so far, without that of compilation [s]."""
+        return self._before + (0.0 if self._started is None else clock() - self._started)
+
+    def resume(self, seconds: float) -> None:
+        """Count from the seconds of a training that was interrupted."""
+        self._before = seconds
+
+    def run(self, threads: int = 1) -> Trials:
+        """Train until every trial has stopped; the record of all trials.
+
+        What a shard raises ends the others at their next iteration, and is raised here.
+        """
+        self._started = clock()
+        try:
+            threads = min(threads, len(self.trainers))
+            if threads > 1:
+                self._run_threads(threads)
+            else:
+                for trainer in self.trainers:
+                    trainer.run()
+                    trainer.close()
+        finally:
+            self._before, self._started = self.seconds, None
+        return self.trials()
+
+    def _run_threads(self, threads: int) -> None:
+        todo, errors = iter(self.trainers), list[BaseException]()
+        failed, ended = threading.Event(), threading.Semaphore(0)
+
+        def work() -> None:
+            try:
+                for trainer in todo:
+                    trainer.run(failed.is_set)
+                    trainer.close()
+            except BaseException as error:
+                errors.append(error)
+                if isinstance(error, Exception):  # a signal ends every shard by itself
+                    failed.set()
+            finally:
+                ended.release()
+
+        try:
+            for _ in range(threads):
+                threading.Thread(target=work, daemon=True).start()
+            for _ in range(threads):
+                while not ended.acquire(timeout=LOOK):  # signals are served between two looks
+                    pass
+        finally:
+            failed.set()
+        if errors:
+            raise errors[0]
+
+    def trials(self) -> Trials:
+        """The record of all trials."""
+        return Trials.joined([trainer.trials for trainer in self.trainers])
+
+    def weights(self) -> Mapping[str, Tensor]:
+        """The parameters of the policy [trials, ...] by name."""
+        parts = [dict(trainer.collector.policy[0].named_parameters()) for trainer in self.trainers]
+        if len(parts) == 1:
+            return parts[0]
+        return {name: torch.cat([part[name].detach() for part in parts]) for name in parts[0]}
+
+    def evaluations(self) -> dict[str, NDArray[Any]] | None:
+        """The rows of ``Evaluator.rows`` of all trials; None: there are no evaluations."""
+        parts = [t.evaluator.rows() for t in self.trainers if t.evaluator is not None]
+        for part, offset in zip(parts, self.offsets, strict=False):
+            part["trial"] = part["trial"] + offset
+        return _by_iteration(parts, [part["iteration"] for part in parts])
+
+    def diagnostics(self) -> dict[str, NDArray[Any]] | None:
+        """Every quantity, one entry per iteration and active trial; None: there are none."""
+        found = [t.diagnostics for t in self.trainers if t.diagnostics is not None]
+        return _by_iteration([d.columns() for d in found], [d.iterations() for d in found])
+
+    def close(self) -> None:
+        """Close the environments."""
+        for trainer in self.trainers:
+            trainer.close()
+
+
+def _by_iteration(
+    parts: Sequence[Mapping[str, NDArray[Any]]], iterations: Sequence[NDArray[np.int64]]
+) -> dict[str, NDArray[Any]] | None:
+    """The rows of all parts by iteration, and then part; None: there is no part."""
+    if len(parts) < 2:
+        return dict(parts[0]) if parts else None
+    order = np.argsort(np.concatenate(iterations), kind="stable")
+    return {name: np.concatenate([part[name] for part in parts])[order] for name in parts[0]}
