@@ -65,7 +65,7 @@ class Sweep(Callback):
     def __init__(self) -> None:
         self.folders: list[Path] = []
         """The folder of each job, by its number; empty if the jobs cannot be composed."""
-        self.place = Path()
+        self.place: Path | None = None
         """The folder of the sweep, where Hydra writes ``multirun.yaml``."""
         self.missing = ""
         """Which launcher is not installed: one line."""
@@ -73,10 +73,10 @@ class Sweep(Callback):
     def on_multirun_start(self, config: DictConfig, **arguments: Any) -> None:
         """Plan the jobs, and write down which ones are asked for."""
         _State.sweep = self
-        self.place = Path(str(config.hydra.sweep.dir)).absolute()
         self.missing = _not_installed(config)
         if not self.missing:
             with suppress(Exception):  # Hydra comes upon the same, and raises it
+                self.place = Path(str(config.hydra.sweep.dir)).absolute()
                 folders = _plan(config)
                 for sweep, names in _by_sweep(folders).items():
                     sweep.mkdir(parents=True, exist_ok=True)
@@ -190,7 +190,7 @@ def collect(start: Callable[[], object]) -> list[Ended]:
         # Of the launcher itself: a process that was killed, a timeout.
         reason = f"the launcher lost it ({type(error).__name__}: {first_line(error)})"
     finally:
-        if _State.sweep is not None:
+        if _State.sweep is not None and _State.sweep.place is not None:
             for sweep in {_State.sweep.place, *_by_sweep(_State.sweep.folders)}:
                 sweeps.end_sweep(sweep)
     if _State.sweep is None:
