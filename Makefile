@@ -1,5 +1,5 @@
-# make thesis: build the environment, run the thesis's experiment, write the report.
-# make test:   lint, types and all tests.
+# make thesis: build the environment, run the thesis's experiments, write the report
+# make test:   run the linter, the type checker and all tests
 
 PYTHON ?= python3
 VENV := .venv
@@ -18,19 +18,19 @@ help:
 env: $(READY)
 
 $(READY): pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
+	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, but this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	@touch $(READY)
 
 thesis: $(READY)
-	$(BIN)/python scripts/train.py experiment=thesis output_dir=$(OUT)
-	$(BIN)/python scripts/train.py experiment=epsilon_grid output_dir=$(OUT)
-	$(BIN)/python scripts/train.py experiment=decay_grid output_dir=$(OUT)
-	$(BIN)/python scripts/time_trials.py $(OUT)/thesis --trials 30
-	$(BIN)/python scripts/time_trials.py $(OUT)/decay_grid
-	$(BIN)/python scripts/report.py $(OUT)/thesis $(OUT)/epsilon_grid $(OUT)/decay_grid --out $(OUT)/report
+	$(BIN)/trl-explore train experiment=thesis output_dir=$(OUT)
+	$(BIN)/trl-explore train experiment=epsilon_grid output_dir=$(OUT)
+	$(BIN)/trl-explore train experiment=decay_grid output_dir=$(OUT)
+	$(BIN)/trl-explore time $(OUT)/thesis --trials 30
+	$(BIN)/trl-explore time $(OUT)/decay_grid
+	$(BIN)/trl-explore report $(OUT)/thesis $(OUT)/epsilon_grid $(OUT)/decay_grid --out $(OUT)/report
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -40,11 +40,11 @@ lint: $(READY)
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
-# make bench:  measure the speed, write benchmarks/results.md
+# make bench:  measure the speed and write benchmarks/results.md
 bench: $(READY)
 	$(BIN)/python benchmarks/speed.py
 
-# make soak:   kill a sweep at random instants, KILLS times, and compare every file
+# make soak:   kill a sweep at random times, KILLS times, and compare every file
 soak: $(READY)
 	$(BIN)/python tests/soak/kill.py --kills $(KILLS) --seed $(SEED)
 

@@ -1,4 +1,4 @@
-"""What the measurements were made on."""
+"""The machine and the packages used for the measurements."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ def cpu_model() -> str:
 
 
 def load() -> str:
-    """How busy the machine is, as its load average over a minute."""
+    """The load average of the machine over one minute."""
     return f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
 
 
 def description() -> list[tuple[str, str]]:
-    """Name and value of what a reader needs to judge the numbers."""
+    """Names and values of the facts that a reader needs to judge the numbers."""
     python = f"{platform.python_implementation()} {platform.python_version()}"
     return [
         ("processor", f"{cpu_model()}, {platform.machine()}"),
-        ("cores", f"{cores()}; one is used where two are not named"),
+        ("cores", f"{cores()}; one is used unless two threads are stated"),
         ("system", platform.system()),
         ("Python", python),
         ("packages", ", ".join(f"{name} {version(name)}" for name in PACKAGES)),

@@ -1,4 +1,4 @@
-"""Where the time of an iteration goes: the trainer's parts, wrapped from outside."""
+"""The time of each part of an iteration. The parts of the trainer are wrapped from outside."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from trl_explore.training import trainer as trainer_module
 from trl_explore.training.trainer import Trainer
 
 PHASES = ("collect", "outcomes", "loss", "optimiser", "check", "record")
-"""The loss with its gradient; the check is whether loss and weights are finite."""
+"""The loss includes the gradient; the check tests whether loss and weights are finite."""
 
 
 class Clock:
-    """Seconds spent in each of several functions."""
+    """Seconds spent in each phase."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = dict.fromkeys(PHASES, 0.0)
 
     def timed(self, phase: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """``function``, whose seconds are added to those of ``phase``."""
+        """``function``, with its seconds added to those of ``phase``."""
         clock, seconds = time.perf_counter, self.seconds
 
         def call(*args: Any, **kwargs: Any) -> Any:
@@ -38,7 +38,7 @@ class Clock:
 
 @contextmanager
 def wrapped(trainer: Trainer, clock: Clock) -> Iterator[None]:
-    """Inside, the parts of ``trainer`` are timed."""
+    """Time the parts of ``trainer`` within this context."""
     parts = (
         (trainer.collector, "collect", "collect"),
         (trainer_module, "outcomes", "outcomes"),
@@ -63,7 +63,7 @@ def wrapped(trainer: Trainer, clock: Clock) -> Iterator[None]:
 
 
 def phases(trials: int, max_iterations: int = CAP) -> dict[str, float]:
-    """Microseconds per iteration of a whole softmax run: each phase, the rest, and "total"."""
+    """Microseconds per iteration of a whole softmax run, by phase, with "rest" and "total"."""
     trainer, clock = build("softmax", trials, max_iterations=max_iterations), Clock()
     with wrapped(trainer, clock):
         run: Run = train(trainer)

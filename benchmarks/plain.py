@@ -1,7 +1,8 @@
-"""The tuned plain loop to compare with: gymnasium and numpy, one trial after the other.
+"""A tuned plain loop for comparison: gymnasium and numpy, one trial after the other.
 
-What a careful programmer writes without a framework: the policy in plain Python floats per step,
-everything that can wait until the end of the episode in numpy, Adam by hand.
+This is what a careful programmer writes without a framework. The policy uses plain Python floats
+in each step; numpy does everything that can wait until the end of the episode; Adam is written by
+hand.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class Plain:
 
 
 def train(strategy: str, seed: int, max_iterations: int = 1000) -> Plain:
-    """Train one trial on CartPole-v1 under a strategy of the thesis."""
+    """Train one trial on CartPole-v1 with a strategy of the thesis."""
     draw = random.Random(seed).random
     env = gym.make("CartPole-v1", disable_env_checker=True).unwrapped
     env.reset(seed=seed)
@@ -59,7 +60,7 @@ def episode(
     softmax: bool,
     epsilon: float,
 ) -> tuple[list[NDArray[np.float32]], list[int]]:
-    """One episode of at most 500 steps: observations and actions."""
+    """The observations and actions of one episode of at most 500 steps."""
     w0, w1, w2, w3 = (weight[1] - weight[0]).tolist()
     observation, _ = env.reset()
     step, exp = env.step, math.exp

@@ -1,4 +1,4 @@
-"""What is measured, how large it is, and the rounds in which it is."""
+"""The cases to measure, their sizes, and the rounds of measurement."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from machine import cores
 from runs import CAP, STRATEGIES, Run
 
 SIZES = (1, 30, 300, 1_500, 15_000)
-"""Numbers of trials of the fused collector."""
+"""Numbers of trials for the fused collector."""
 LANES = (1, 30, 300)
-"""Numbers of trials of the TorchRL collector."""
+"""Numbers of trials for the TorchRL collector."""
 BOTH_CORES = (1_500, 15_000)
-"""Numbers of trials that are measured with two threads, too."""
+"""Numbers of trials that are also measured with two threads."""
 PHASE_TRIALS = (30, 1_500)
 THESIS_TRIALS = 30
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How much is measured.
+    """How much to measure.
 
     Attributes:
         repeats: rounds over all cases.
-        slow_repeats: of these, the rounds in which the cases that take longest are measured.
-        cap: iterations of a trial at most; 1000 are the thesis's.
+        slow_repeats: rounds that include the slowest cases.
+        cap: maximum iterations of a trial; the thesis uses 1000.
         lanes_cap: the same for the TorchRL collector.
-        alone: trials of every round that run by themselves. In the plain loop they are others in
-            each round, so that five rounds are the thesis's 30; in the fused collector, the first.
+        alone: trials per round that run alone. The plain loop runs different trials in each round,
+            so that five rounds make the thesis's 30; the fused collector runs the first ones.
         stock_frames: frames of the stock collector.
     """
 
@@ -61,53 +61,53 @@ class Case:
 
 @dataclass
 class Measured:
-    """Everything measured, one entry for each repeat."""
+    """All measurements, with one entry per round."""
 
     settings: Settings
     runs: dict[Case, list[Run]] = field(default_factory=dict)
     phases: dict[int, list[dict[str, float]]] = field(default_factory=dict)
     start_up: list[dict[str, float]] = field(default_factory=list)
     memory: tuple[float, float] = (0.0, 0.0)
-    """GB of a process after its imports, and after training 15,000 trials."""
+    """Memory in GB of a process after its imports, and after training 15,000 trials."""
 
     def speed(self, case: Case) -> float:
-        """Frames per second, the median."""
+        """Median frames per second."""
         return statistics.median(run.speed for run in self.runs[case])
 
     def seconds(self, case: Case) -> float:
-        """The median."""
+        """Median seconds."""
         return statistics.median(run.seconds for run in self.runs[case])
 
     def thesis_seconds(self) -> float:
-        """Five strategies with 30 trials each, fused, as jobs of one process: the median."""
+        """Median seconds of the five fused jobs of 30 trials each, in one process."""
         jobs = (self.runs[Case("thesis", THESIS_TRIALS, strategy=s)] for s in STRATEGIES)
         return statistics.median(runs.together(job).seconds for job in zip(*jobs, strict=True))
 
     def plain_seconds(self, strategy: str) -> float:
-        """What the plain loop needs for as many frames as the job of the thesis has."""
+        """Seconds of the plain loop for the number of frames of the thesis's job."""
         frames = self.runs[Case("thesis", THESIS_TRIALS, strategy=strategy)][0].frames
         return frames / self.speed(Case("plain", strategy=strategy))
 
     def start(self, command: str) -> float:
-        """Seconds of a command of ``processes.commands``, the median."""
+        """Median seconds of a command of ``processes.commands``."""
         return statistics.median(seconds[command] for seconds in self.start_up)
 
     def start_beyond_torchrl(self) -> float:
-        """Seconds of ``train.py`` beyond those of importing torchrl, the median."""
+        """Median seconds of ``train.py`` minus those of importing torchrl."""
         return statistics.median(s["train.py"] - s["import torchrl"] for s in self.start_up)
 
     def phase(self, trials: int, name: str) -> float:
-        """Microseconds per iteration, the median."""
+        """Median microseconds per iteration."""
         return statistics.median(parts[name] for parts in self.phases[trials])
 
 
 def thread_counts(trials: int) -> tuple[int, ...]:
-    """The numbers of threads with which the fused collector is measured."""
+    """The numbers of threads to measure the fused collector with."""
     return (1, 2) if trials in BOTH_CORES and cores() >= 2 else (1,)
 
 
 def plan(settings: Settings) -> dict[Case, Callable[[int], Run]]:
-    """How to run every case in a given round, in the order of a round."""
+    """The function that runs each case in a given round, in the order of a round."""
     cap = settings.cap
     weight = runs.trained_weight()
     todo: dict[Case, Callable[[int], Run]] = {}
@@ -139,12 +139,12 @@ def plan(settings: Settings) -> dict[Case, Callable[[int], Run]]:
 
 
 def is_slow(case: Case) -> bool:
-    """Whether a case takes so long that it is measured in fewer rounds."""
+    """Whether a case is slow, so that fewer rounds include it."""
     return case.kind == "lanes" or case.trials >= 15_000
 
 
 def warm_up() -> None:
-    """Compile, or load, everything that the rounds run."""
+    """Compile or load all code that the rounds run."""
     for strategy in STRATEGIES:
         runs.plain(strategy, [0], 5)
         runs.fused(strategy, THESIS_TRIALS, max_iterations=3)
@@ -157,7 +157,7 @@ def warm_up() -> None:
 
 
 def measure(settings: Settings) -> Measured:
-    """Measure everything, each round over all cases, so that the machine's noise hits all alike."""
+    """Run all cases in each round, so that noise of the machine affects all cases alike."""
     started = time.perf_counter()
 
     def say(what: str) -> None:

@@ -1,7 +1,7 @@
-"""What is measured on whole processes: start-up, and the most memory a run needs.
+"""Measurements of whole processes: start-up time and peak memory.
 
 ``python benchmarks/processes.py TRIALS ITERATIONS`` trains softmax trials with the fused collector
-and prints the peak of its resident memory in bytes, after the imports and at the end.
+and prints the peak resident memory of the process in bytes, after the imports and at the end.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ IMPORT = "import torchrl.envs, torchrl.collectors, torchrl.objectives"
 
 
 def commands(folder: Path) -> dict[str, list[str]]:
-    """The commands whose seconds are measured, by name."""
+    """The commands to time, by name."""
     output = f"output_dir={folder}"
     return {
         "train.py --help": [str(TRAIN), "--help"],
@@ -30,7 +30,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
 
 
 def start_up() -> dict[str, float]:
-    """Seconds of each command, from the shell's point of view."""
+    """Wall-clock seconds of each command, as a separate process."""
     seconds = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, arguments in commands(Path(folder)).items():
@@ -41,7 +41,7 @@ def start_up() -> dict[str, float]:
 
 
 def memory(trials: int, max_iterations: int) -> tuple[float, float]:
-    """Peak resident memory in GB of a process that only imports, and that trains."""
+    """Peak resident memory of a process in GB, after its imports and after training."""
     command = [sys.executable, __file__, str(trials), str(max_iterations)]
     result = subprocess.run(command, check=True, capture_output=True, text=True)
     imported, trained = (int(word) / 1e9 for word in result.stdout.split())
@@ -49,9 +49,9 @@ def memory(trials: int, max_iterations: int) -> tuple[float, float]:
 
 
 def peak() -> int:
-    """The most resident memory that this process has had, in bytes."""
+    """Peak resident memory of this process in bytes."""
     status = Path("/proc/self/status")
-    if status.is_file():  # what getrusage says begins, on Linux, at the peak of the parent
+    if status.is_file():  # on Linux, getrusage starts at the peak of the parent process
         found = re.search(r"VmHWM:\s*(\d+) kB", status.read_text(encoding="utf-8"))
         if found is not None:
             return 1024 * int(found[1])
@@ -60,7 +60,7 @@ def peak() -> int:
 
 
 def main() -> None:
-    """Train, and print the peaks."""
+    """Train and print the peaks."""
     from runs import fused
 
     trials, max_iterations = map(int, sys.argv[1:])

@@ -1,6 +1,6 @@
-"""The timed runs: how agents are built, and what one run of each kind gives.
+"""The timed runs of each kind, and the agents that they train.
 
-Only training is timed: agents are built and code is compiled before the clock starts.
+Only training is timed. Agents are built and code is compiled before the clock starts.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Run:
         seconds: wall time of the training.
         frames: environment steps.
         iterations: iterations of the whole batch of trials.
-        steps: steps of the environment as a whole, in each of which all unfinished lanes advance.
+        steps: steps of the batch of lanes; each advances all unfinished lanes.
     """
 
     seconds: float
@@ -79,15 +79,15 @@ def build(
     lanes: bool = False,
     max_iterations: int = CAP,
 ) -> Trainer:
-    """The agents of the thesis, as ``scripts/train.py`` builds them by default.
+    """The thesis's agents, as ``scripts/train.py`` builds them by default.
 
     Args:
         strategy: a name of ``STRATEGIES``.
         trials: the number of trials.
         first_trial: the index of the first one.
-        threads: of the fused collector.
-        lanes: whether the ``TorchRLCollector`` collects, instead of the fused one.
-        max_iterations: the cap.
+        threads: the threads of the fused collector.
+        lanes: whether to use the ``TorchRLCollector`` instead of the fused collector.
+        max_iterations: the maximum iterations of a trial.
     """
     env = make_env("CartPole-v1", trials, 500, first_trial=first_trial)
     policy = LinearPolicy(env, first_trial=first_trial)
@@ -113,7 +113,7 @@ def train(trainer: Trainer) -> Run:
 
 
 def together(runs: Iterable[Run]) -> Run:
-    """Several runs, one after the other, as one."""
+    """Several successive runs, added up as one run."""
     seconds, frames, iterations, steps = (
         sum(column)
         for column in zip(
@@ -126,7 +126,7 @@ def together(runs: Iterable[Run]) -> Run:
 def fused(
     strategy: str, trials: int, threads: int = 1, first_trial: int = 0, max_iterations: int = CAP
 ) -> Run:
-    """All trials at once, with the fused collector."""
+    """Train all trials at once with the fused collector."""
     trainer = build(
         strategy, trials, first_trial=first_trial, threads=threads, max_iterations=max_iterations
     )
@@ -134,18 +134,18 @@ def fused(
 
 
 def fused_alone(trials: int, max_iterations: int = CAP) -> Run:
-    """The first softmax trials, each by itself, one after the other, with the fused collector."""
+    """Train the first softmax trials alone, one after the other, with the fused collector."""
     runs = [fused("softmax", 1, 1, k, max_iterations) for k in range(trials)]
     return together(runs)
 
 
 def lanes(trials: int, max_iterations: int = CAP) -> Run:
-    """All softmax trials at once, with the ``TorchRLCollector``."""
+    """Train all softmax trials at once with the ``TorchRLCollector``."""
     return train(build("softmax", trials, lanes=True, max_iterations=max_iterations))
 
 
 def plain(strategy: str, seeds: Iterable[int], max_iterations: int = CAP) -> Run:
-    """The plain loop, one trial after the other."""
+    """Train with the plain loop, one trial after the other."""
     gc.collect()
     runs = []
     for seed in seeds:
@@ -157,18 +157,18 @@ def plain(strategy: str, seeds: Iterable[int], max_iterations: int = CAP) -> Run
 
 
 def trained_weight() -> Tensor:
-    """W [n_actions, n_features] of a softmax trial at its end, for episodes of full length."""
+    """W [n_actions, n_features] of a trained softmax trial, which gives episodes of full length."""
     trainer = build("softmax", 1)
     trainer.run()
     return next(trainer.collector.policy.parameters()).detach()[0].clone()
 
 
 def stock(weight: Tensor, frames: int) -> Run:
-    """TorchRL's own ``Collector`` over one ``GymEnv``, without any training.
+    """Collect with TorchRL's own ``Collector`` over one ``GymEnv``, without training.
 
     Args:
-        weight: of a trained policy, so that few frames are spent on resets.
-        frames: how many to collect, after a first batch that is not timed.
+        weight: the weight of a trained policy, so that resets are few.
+        frames: the number of frames to collect, after a first batch that is not timed.
     """
     linear = nn.Linear(weight.shape[1], weight.shape[0], bias=False)
     linear.weight.data.copy_(weight)

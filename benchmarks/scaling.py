@@ -21,11 +21,11 @@ LINES = (
 """Kind, threads, label, colour and marker, from top to bottom."""
 DASHED = (0, (5.0, 2.0))
 ALONE = ("plain", "stock")
-"""Kinds that run one trial after the other: their speed does not depend on how many."""
+"""Kinds that run one trial after the other; their speed does not depend on the number of trials."""
 
 
 def scaling(m: Measured) -> Figure:
-    """Frames per second against the number of trials, both logarithmic."""
+    """Frames per second against the number of trials, both on log scales."""
     with visual_language():
         figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
         axes = figure.add_subplot()
@@ -63,7 +63,7 @@ def _short(y: float) -> str:
 
 
 def write(m: Measured, folder: Path) -> str:
-    """Draw the figure into ``scaling.svg`` and ``scaling.png``; returns the name of the first."""
+    """Write the figure to ``scaling.svg`` and ``scaling.png``; return the name of the first."""
     figure = scaling(m)
     with visual_language():
         (folder / "scaling.svg").write_text(to_svg(figure), encoding="utf-8")

@@ -1,8 +1,9 @@
 """Measure the speed of everything: ``python benchmarks/speed.py [--quick] [--repeats N]``.
 
-Prints tables and writes them to ``results.md``, with the figure ``scaling.svg`` and ``.png``,
-beside this file. With --quick, every run is cut short, which takes about a minute and shows that
-everything works; such numbers are no measurement, and are written only where --out says.
+Prints tables and writes them to ``results.md``, with the figures ``scaling.svg`` and
+``scaling.png``, in the folder of this file. With --quick, every run is short. This takes about a
+minute and shows that everything works. Such numbers are not measurements and are written only to
+the folder that --out names.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ HERE = Path(__file__).resolve().parent
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="short runs, to try the program")
+    parser.add_argument("--quick", action="store_true", help="short runs, as a check")
     parser.add_argument("--repeats", type=int, metavar="N", help="rounds (default: 5; quick: 2)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files")
     parsed = parser.parse_args()
@@ -34,7 +35,7 @@ def arguments() -> argparse.Namespace:
 
 
 def settings(quick: bool, repeats: int | None) -> Settings:
-    """What the command line asks for."""
+    """The settings that the command line asks for."""
     chosen = QUICK if quick else Settings()
     if repeats is None:
         return chosen

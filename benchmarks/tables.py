@@ -1,4 +1,4 @@
-"""The measurements as Markdown."""
+"""The measurements as Markdown tables."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from targets import targets
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
-    """A Markdown table, padded so that it can be read as it is; ``left`` columns of words."""
+    """A Markdown table with padded cells; the first ``left`` columns are left-aligned."""
     cells = [list(head), *map(list, rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     rule = ["-" * w if i < left else "-" * (w - 1) + ":" for i, w in enumerate(widths)]
@@ -35,7 +35,7 @@ def significant(x: float) -> str:
 
 
 def speeds(m: Measured) -> str:
-    """Frames per second of everything, by number of trials."""
+    """Frames per second of each collector, by number of trials."""
     plain, stock = m.speed(Case("plain")), m.speed(Case("stock"))
     rows = []
     for case, runs in m.runs.items():
@@ -68,14 +68,14 @@ NAMES = {
 
 
 def busy(m: Measured, case: Case) -> str:
-    """How many lanes advance in a step of the TorchRL collector, on average."""
+    """The mean number of lanes that advance in a step of the TorchRL collector."""
     if case.kind != "lanes":
         return ""
     return significant(m.runs[case][0].frames / m.runs[case][0].steps)
 
 
 def thesis(m: Measured) -> str:
-    """The thesis's experiment, strategy by strategy."""
+    """The thesis's experiment, by strategy."""
     rows = []
     for strategy in STRATEGIES:
         case = Case("thesis", THESIS_TRIALS, strategy=strategy)
@@ -114,7 +114,7 @@ def _total(m: Measured) -> tuple[str, ...]:
 
 
 def iteration(m: Measured) -> str:
-    """Where the time of an iteration goes."""
+    """The time of each part of an iteration."""
     rows = []
     for name in (*PHASES, "rest", "total"):
         cells = [name]
@@ -127,13 +127,13 @@ def iteration(m: Measured) -> str:
 
 
 def start_up(m: Measured) -> str:
-    """Seconds of a few commands."""
+    """Seconds of each command."""
     rows = [(f"`{name}`", f"{m.start(name):.2f}") for name in m.start_up[0]]
     return table(("command", "seconds"), rows)
 
 
 def reached(m: Measured) -> str:
-    """The targets."""
+    """The targets and the measured values."""
     rows = [
         (t.name, t.wanted, f"{significant(t.measured)}{t.unit}", "met" if t.met else "not met")
         for t in targets(m)
@@ -142,7 +142,7 @@ def reached(m: Measured) -> str:
 
 
 def document(m: Measured, load: str, figure: str | None) -> str:
-    """All tables, with what was measured and on what.
+    """All tables, with the method and the machine.
 
     Args:
         m: the measurements.
@@ -156,17 +156,17 @@ def document(m: Measured, load: str, figure: str | None) -> str:
     picture = f"![Frames per second against the number of trials]({figure})\n\n" if figure else ""
     rounds = str(s.repeats)
     if s.slow_repeats != s.repeats:
-        rounds += f", or {s.slow_repeats} for the lanes and for {max(SIZES):,} trials"
+        rounds += f" ({s.slow_repeats} for the lanes and for {max(SIZES):,} trials)"
     note = "" if whole else f"{SHORTENED.format(s.cap, s.lanes_cap)}\n\n"
     return f"""# Speed
 
 {note}{table(("", "this machine"), machine, left=2)}
 
-CartPole-v1, linear policy, REINFORCE with Adam. Timed is training alone, after imports and \
-compilation, in whole runs: until the last trial has converged or reached {s.cap:,} iterations. \
-Everything is from one run of `benchmarks/speed.py`: medians over all rounds, of which \
-there were {rounds}. Each \
-round runs everything once, so that noise of the machine hits all alike.
+CartPole-v1, linear policy, REINFORCE with Adam. Only training is timed, after imports and \
+compilation. A run ends when the last trial has converged or reached {s.cap:,} iterations. \
+All numbers are from one run of `benchmarks/speed.py` and are medians over all rounds. \
+Number of rounds: {rounds}. Each round runs every case once, so that noise of the machine \
+affects all cases alike.
 
 ## Frames per second, softmax
 
@@ -174,39 +174,39 @@ round runs everything once, so that noise of the machine hits all alike.
 
 - plain loop: gymnasium and numpy (`plain.py`), {s.alone} trials in each round, one after the other.
 - TorchRL, stock: TorchRL's `Collector` over one `GymEnv` with the same transforms, the weights \
-of a trained policy and the strategy; collection only, {s.stock_frames:,} frames in each round.
-- TorchRL, lanes: `TorchRLCollector`, a whole run with its updates; *busy lanes* are the \
-unfinished ones in a step, on average.
+of a trained policy, and the strategy; collection only, {s.stock_frames:,} frames in each round.
+- TorchRL, lanes: `TorchRLCollector`, a whole run with its updates; *busy lanes* is the mean \
+number of unfinished lanes in a step.
 - fused: `FusedCollector`, a whole run with its updates; 1 trial: {s.alone} trials in each round, \
 one after the other.
-- Dashed in the figure is what runs one trial after the other, however many there are.
+- Dashed lines in the figure show what runs one trial after the other, whatever their number.
 
 ## The thesis: five strategies, {THESIS_TRIALS} trials each
 
 {thesis(m)}
 
 Fused: five jobs in one process, one thread. Plain: the time for the same number of frames, at the \
-median speed over {plain_trials} trials of each strategy, {s.alone} different ones in each round.
+median speed over {plain_trials} trials of each strategy, {s.alone} different trials in each round.
 
-## Where the time of an iteration goes
+## Time of the parts of an iteration
 
 {iteration(m)}
 
-Softmax, one thread, averaged over whole runs, in which ever fewer trials are active. *Optimiser* \
-includes the zeroing of gradients, *loss* the gradient; *check* looks for numbers that are \
-not finite; *rest* is the loop and the schedules.
+Softmax, one thread, averaged over whole runs, in which fewer and fewer trials are active. \
+*Optimiser* includes zeroing the gradients; *loss* includes the gradient; *check* tests for values \
+that are not finite; *rest* is the loop and the schedules.
 
 ## Start-up
 
 {start_up(m)}
 
-Whole processes, caches warm. *import torchrl* imports its environments, collectors and \
-objectives; `train.py` trains {THESIS_TRIALS} softmax trials and writes their files.
+Whole processes, with warm caches. *import torchrl* imports its environments, collectors and \
+objectives. `train.py` trains {THESIS_TRIALS} softmax trials and writes their files.
 
 ## Memory
 
-Peak resident memory of a process that trains {max(SIZES):,} softmax trials: {m.memory[1]:.2f} GB, \
-{m.memory[0]:.2f} GB of which are there after the imports.
+Peak resident memory of a process that trains {max(SIZES):,} softmax trials: {m.memory[1]:.2f} GB. \
+This includes {m.memory[0]:.2f} GB after the imports.
 
 ## Targets
 
@@ -215,6 +215,6 @@ Peak resident memory of a process that trains {max(SIZES):,} softmax trials: {m.
 
 
 SHORTENED = (
-    "**Shortened runs, to try the program: at most {} iterations, {} of the lanes. "
+    "**Short runs, to check that the program works: at most {} iterations, {} for the lanes. "
     "Not a measurement.**"
 )

@@ -1,4 +1,4 @@
-"""What the program is to reach, and whether it does."""
+"""The speed and memory targets, and whether they are met."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from runs import STRATEGIES
 
 @dataclass(frozen=True)
 class Target:
-    """One figure that is to be reached.
+    """One target.
 
     Attributes:
         name: what is measured.
         measured: the value.
-        limit: what it is held against.
-        at_least: whether the value should not be below the limit; else, not above it.
-        unit: written behind both.
+        limit: the limit for the value.
+        at_least: whether the limit is a lower limit; if not, it is an upper limit.
+        unit: written after both numbers.
     """
 
     name: str
@@ -28,7 +28,7 @@ class Target:
 
     @property
     def met(self) -> bool:
-        """Whether the value keeps to the limit."""
+        """Whether the value is within the limit."""
         if self.at_least:
             return self.measured >= self.limit
         return self.measured <= self.limit
@@ -40,7 +40,7 @@ class Target:
 
 
 def targets(m: Measured) -> list[Target]:
-    """All targets, with what was measured."""
+    """All targets, with the measured values."""
     plain, stock = m.speed(Case("plain")), m.speed(Case("stock"))
     thesis = sum(map(m.plain_seconds, STRATEGIES)) / m.thesis_seconds()
     many, most = m.speed(Case("fused", 1_500)), m.speed(Case("fused", 15_000))

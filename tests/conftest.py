@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import select
+import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -114,34 +116,6 @@ def run_cli() -> Callable[..., subprocess.CompletedProcess[str]]:
     return run
 
 
-# What the shell would do with each command, one after the other in one process; a text in their
-# midst is Python.
-DRIVER = """
-import contextlib, io, json, os, runpy, sys, traceback
-from hydra.core.global_hydra import GlobalHydra
-
-script, results = sys.argv[1], []
-for arguments in json.load(sys.stdin):
-    if isinstance(arguments, str):
-        exec(arguments)
-        continue
-    GlobalHydra.instance().clear()
-    os.environ.pop("HYDRA_FULL_ERROR", None)
-    sys.argv = [script, *arguments]
-    out, err, code = io.StringIO(), io.StringIO(), 0
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            runpy.run_path(script, run_name="__main__")
-        except SystemExit as exit:
-            code = exit.code or 0
-        except BaseException:
-            traceback.print_exc()
-            code = 1
-    results.append([code, out.getvalue(), err.getvalue(), "torch" in sys.modules])
-json.dump(results, sys.stdout)
-"""
-
-
 class Ran(NamedTuple):
     """What became of a command; ``torch`` says whether torch has been imported by its end."""
 
@@ -151,21 +125,61 @@ class Ran(NamedTuple):
     torch: bool
 
 
-@pytest.fixture(scope="session")
-def run_many() -> Callable[..., list[Ran]]:
-    """Many commands of ``scripts/train.py``, one after the other in one process."""
+class Driver:
+    """A process of ``tests/driver.py`` that answers one batch of commands after the other."""
 
-    def run(commands: Iterable[str | Sequence[str]], cwd: Path) -> list[Ran]:
-        process = subprocess.run(
-            [sys.executable, "-c", DRIVER, str(SCRIPT)],
-            input=json.dumps([c if isinstance(c, str) else list(c) for c in commands]),
-            cwd=cwd,
-            capture_output=True,
+    SECONDS = 600
+
+    def __init__(self, *options: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, str(ROOT / "tests" / "driver.py"), *options],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
             text=True,
-            timeout=300,
-            check=False,
+            start_new_session=True,
         )
-        assert process.returncode == 0, process.stderr
-        return [Ran(*result) for result in json.loads(process.stdout)]
 
-    return run
+    def ask(self, batch: Sequence[Any]) -> list[Ran]:
+        process = self.process
+        assert process.stdin is not None
+        assert process.stdout is not None
+        print(json.dumps(batch), file=process.stdin, flush=True)
+        if not select.select([process.stdout], [], [], self.SECONDS)[0]:
+            os.killpg(process.pid, signal.SIGKILL)
+        answer = process.stdout.readline().strip()
+        assert answer, "the commands ended their process, or took too long"
+        return [Ran(*result) for result in json.loads(answer)]
+
+    def close(self) -> None:
+        with self.process:  # ends when its standard input does
+            pass
+
+
+@pytest.fixture(scope="session")
+def run_many() -> Iterator[Callable[..., list[Ran]]]:
+    """Many commands of a script, one after the other in one process, from the folder ``cwd``.
+
+    A text among the commands is Python to execute. ``cold``: nothing has been imported before.
+    """
+    warm: list[Driver] = []
+
+    def run(
+        commands: Iterable[str | Sequence[str]],
+        cwd: Path,
+        script: Path = SCRIPT,
+        cold: bool = False,
+    ) -> list[Ran]:
+        batch = [str(script), str(cwd), [c if isinstance(c, str) else list(c) for c in commands]]
+        if cold:
+            driver = Driver("--cold")
+            try:
+                return driver.ask(batch)
+            finally:
+                driver.close()
+        if not warm:
+            warm.append(Driver())
+        return warm[0].ask(batch)
+
+    yield run
+    for driver in warm:
+        driver.close()

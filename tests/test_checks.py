@@ -18,7 +18,7 @@ def test_number_within_closed_bounds_is_returned_as_float(value):
 
 @pytest.mark.parametrize("value", [-1e-9, 1.0000001, math.nan, math.inf, -math.inf])
 def test_number_out_of_bounds(value):
-    with pytest.raises(ValueError, match=r"epsilon must be a number in \[0, 1\], got") as error:
+    with pytest.raises(ValueError, match=r"^epsilon.*\[0, 1\]") as error:
         check_number("epsilon", value, 0, 1)
     assert repr(value) in str(error.value)
     assert "\n" not in str(error.value)
@@ -26,20 +26,20 @@ def test_number_out_of_bounds(value):
 
 @pytest.mark.parametrize("value", [True, False, "0.5", None, [0.5], 1j])
 def test_what_is_not_a_number(value):
-    with pytest.raises(ValueError, match="epsilon must be a number"):
+    with pytest.raises(ValueError, match=r"^epsilon.*\[0, 1\]"):
         check_number("epsilon", value, 0, 1)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_number_without_bounds_is_finite(value):
     assert check_number("baseline", -1e300) == -1e300
-    with pytest.raises(ValueError, match="baseline must be a number that is finite"):
+    with pytest.raises(ValueError, match=r"^baseline.*finite"):
         check_number("baseline", value)
 
 
 def test_open_bounds_exclude_their_ends():
     assert check_number("x", 1, 0, 1, low_open=True) == 1
-    with pytest.raises(ValueError, match=r"x must be a number in \(0, 1\], got 0"):
+    with pytest.raises(ValueError, match=r"^x.*\(0, 1\].*0$"):
         check_number("x", 0, 0, 1, low_open=True)
 
 
@@ -62,7 +62,7 @@ def test_integer(value):
 
 @pytest.mark.parametrize("value", [0, -1, 1.0, 1.5, "1", True, None, math.nan])
 def test_what_is_not_an_integer_of_at_least_one(value):
-    with pytest.raises(ValueError, match="trials must be an integer >= 1, got") as error:
+    with pytest.raises(ValueError, match=r"^trials.*>= 1") as error:
         check_integer("trials", value, 1)
     assert repr(value) in str(error.value)
 

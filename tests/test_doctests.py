@@ -11,18 +11,13 @@ import pytest
 import trl_explore
 
 MODULES = sorted(
-    module.name
-    for module in pkgutil.walk_packages(trl_explore.__path__, "trl_explore.")
-    if not module.ispkg
+    module.name for module in pkgutil.walk_packages(trl_explore.__path__, "trl_explore.")
 )
 
 
 @pytest.mark.parametrize("name", MODULES)
 def test_examples(name):
-    result = doctest.testmod(
-        importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE
-    )
-    assert result.failed == 0
+    assert doctest.testmod(importlib.import_module(name)).failed == 0
 
 
 def test_there_are_examples():

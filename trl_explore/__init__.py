@@ -1,1 +1,60 @@
-"""What does the exploration strategy do to the learning of a policy-gradient agent?"""
+"""What does the exploration strategy do to the learning of a policy-gradient agent?
+
+The names below are what most programs need; each is imported when it is first used. Everything
+else is in the rooms: ``strategies``, ``policies``, ``objectives``, ``envs``, ``collectors``,
+``training``, ``jobs``, ``statistics``.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from trl_explore.collectors import auto_collector
+    from trl_explore.envs import make_env
+    from trl_explore.jobs.reading import read_frame
+    from trl_explore.objectives import ReinforceLoss
+    from trl_explore.policies import LinearPolicy
+    from trl_explore.strategies import (
+        Argmax,
+        DecayingEpsilonGreedy,
+        EpsilonGreedy,
+        Random,
+        Softmax,
+    )
+    from trl_explore.training.trainer import Trainer
+
+__all__ = [
+    "Argmax",
+    "DecayingEpsilonGreedy",
+    "EpsilonGreedy",
+    "LinearPolicy",
+    "Random",
+    "ReinforceLoss",
+    "Softmax",
+    "Trainer",
+    "auto_collector",
+    "make_env",
+    "read_frame",
+]
+
+_PLACES = {
+    "LinearPolicy": "policies",
+    "ReinforceLoss": "objectives",
+    "Trainer": "training.trainer",
+    "auto_collector": "collectors",
+    "make_env": "envs",
+    "read_frame": "jobs.reading",
+}
+"""The module of each name that is not a strategy."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_PLACES.get(name, 'strategies')}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

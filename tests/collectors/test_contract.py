@@ -261,7 +261,7 @@ def test_set_seed_starts_again(kind):
         assert same(collect(collector), collect(other))
     assert collector.set_seed(8, static_seed=True) == 8
     assert collector.set_seed(0) == 1
-    with pytest.raises(ValueError, match="seed must be a non-negative integer"):
+    with pytest.raises(ValueError, match=r"^seed"):
         collector.set_seed(-1)
 
 
@@ -344,7 +344,7 @@ def test_repr_names_what_it_collects(kind):
 
 @pytest.mark.parametrize("active", [[True] * 3, [[True] * 4], [False] * 4, []])
 def test_a_wrong_active_is_refused(kind, active):
-    with pytest.raises(ValueError, match=r"active must be a bool array \[4\] with a true entry"):
+    with pytest.raises(ValueError, match=r"^active.*bool.*\[4\]"):
         build(kind).collect(np.array(active, dtype=np.bool_))
 
 
@@ -356,7 +356,7 @@ def test_a_policy_without_a_strategy_is_refused(kind):
 
 
 def test_a_parameter_per_trial_must_fit_the_trials(kind):
-    with pytest.raises(ValueError, match="has 3 values, but there are 4 trials"):
+    with pytest.raises(ValueError, match=r"3 values.*4 trials"):
         build(kind, EpsilonGreedy([0.1, 0.2, 0.3]))
 
 
@@ -364,5 +364,5 @@ def test_another_environment_is_refused(kind):
     from torchrl.envs import GymEnv
 
     env = make_env("CartPole-v1", TRIALS)
-    with pytest.raises(ValueError, match="has no lanes"):
+    with pytest.raises(ValueError, match="lanes"):
         kind(GymEnv("CartPole-v1"), TensorDictSequential(LinearPolicy(env), Softmax()))

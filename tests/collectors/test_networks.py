@@ -123,13 +123,13 @@ def test_networks_of_others_are_refused():
         pass
 
     env = make_env(trials=2)
-    with pytest.raises(NotCompilableError, match="the policy Other is not known to it"):
+    with pytest.raises(NotCompilableError, match="policy Other"):
         FusedCollector(env, TensorDictSequential(Other(env), Softmax()))
     double = TensorDictSequential(MLPPolicy(env).double(), Softmax())
     with pytest.raises(NotCompilableError, match=r"torch\.float64"):
         FusedCollector(env, double)
     few = TensorDictSequential(MLPPolicy(make_env(trials=3)), Softmax())
-    with pytest.raises(NotCompilableError, match=r"the weights are \[3, 32, 4\]"):
+    with pytest.raises(NotCompilableError, match=r"weights.*\[3, 32, 4\]"):
         FusedCollector(env, few)
 
 
@@ -291,5 +291,5 @@ def test_a_kernel_without_the_mask_is_refused(ring_env, monkeypatch):
     bare = Kernel(ring_reset, ring_step, ring_observe, (10,), 1, 2, 4)
     monkeypatch.setitem(base._BUILDERS, Ring, lambda env: bare)
     env = ring_env(trials=2)
-    with pytest.raises(NotCompilableError, match="the kernel of Ring has no action mask"):
+    with pytest.raises(NotCompilableError, match=r"Ring.*action mask"):
         FusedCollector(env, TensorDictSequential(LinearPolicy(env), Softmax()))

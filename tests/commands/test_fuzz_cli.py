@@ -7,7 +7,6 @@ in a process of their own. ``TRL_EXPLORE_FUZZ=1000`` tries so many.
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import io
 import os
 import shutil
@@ -21,6 +20,7 @@ from hydra.core.hydra_config import HydraConfig
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from trl_explore.commands import train
 from trl_explore.config import CONF, GROUPS
 from trl_explore.jobs.reading import find_folders, read_job
 
@@ -79,19 +79,7 @@ class Ran(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def program():
-    spec = importlib.util.spec_from_file_location("train_fuzzed", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # the launchers look for the module of a job's function
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
-
-
-@pytest.fixture(scope="module")
-def run(program, tmp_path_factory):
+def run(tmp_path_factory):
     """Run a command in an empty folder of its own, and return that folder too."""
     place = tmp_path_factory.mktemp("fuzz")
 
@@ -106,7 +94,7 @@ def run(program, tmp_path_factory):
             patch.chdir(place)
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
                 try:
-                    status = program.main()
+                    status = train.main()
                 except SystemExit as error:
                     status = error.code if isinstance(error.code, int) else 1
                 finally:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -17,23 +16,21 @@ from trl_explore.report.loading import load
 
 
 @pytest.fixture(scope="module")
-def sweep(tmp_path_factory, run_cli) -> Path:
+def sweep(tmp_path_factory, run_many) -> Path:
     out = tmp_path_factory.mktemp("timed")
-    done = run_cli(
-        "-m", "strategy=softmax,argmax", "trials=3", "max_iterations=4", "score_window=2",
-        f"output_dir={out}", cwd=out,
-    )  # fmt: skip
+    short = ["trials=3", "max_iterations=4", "score_window=2", f"output_dir={out}"]
+    (done,) = run_many([["-m", "strategy=softmax,argmax", *short]], out)
     assert done.returncode == 0, done.stderr
     return out / "train"
 
 
 @pytest.fixture
-def time_trials(request) -> Callable[..., subprocess.CompletedProcess[str]]:
+def time_trials(request, run_many, tmp_path) -> Callable[..., Any]:
     script = request.config.rootpath / "scripts" / "time_trials.py"
 
-    def run(*args: Path | str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, str(script), *map(str, args)]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
+    def run(*args: Path | str) -> Any:
+        (ran,) = run_many([[str(arg) for arg in args]], tmp_path, script)
+        return ran
 
     return run
 
@@ -59,7 +56,7 @@ def test_timings_of_other_jobs_stay(sweep, time_trials):
     job = next(path for path in sweep.iterdir() if path.name.startswith("softmax"))
     done = time_trials(job, "--trials", "1")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.endswith("1 trials timed\n")
+    assert done.stdout.count("1 trial") == 1
     after = read_timings(sweep)
     assert before is not None
     assert after is not None
@@ -70,12 +67,10 @@ def test_timings_of_other_jobs_stay(sweep, time_trials):
     assert after.loc[after["job"] == job.name, "trial"].tolist() == [0]
 
 
-def test_a_threshold_that_gymnasium_registers_is_found_again(run_cli, tmp_path, time_trials):
+def test_a_threshold_that_gymnasium_registers_is_found_again(run_many, tmp_path, time_trials):
     out = tmp_path / "registered"
-    done = run_cli(
-        "env=gym", "env.id=Acrobot-v1", "env.max_steps=20", "trials=2", "max_iterations=3",
-        f"output_dir={out}", cwd=tmp_path,
-    )  # fmt: skip
+    short = ["env.max_steps=20", "trials=2", "max_iterations=3", f"output_dir={out}"]
+    (done,) = run_many([["env=gym", "env.id=Acrobot-v1", *short]], tmp_path)
     assert done.returncode == 0, done.stderr
     done = time_trials(out)
     assert done.returncode == 0, done.stderr
@@ -101,7 +96,9 @@ def test_a_recorded_configuration_is_not_trusted(sweep, time_trials, line):
 def test_nothing_to_time_is_one_line(tmp_path, time_trials):
     done = time_trials(tmp_path)
     assert done.returncode == 1
-    assert done.stderr.splitlines() == [f"error: {tmp_path}: no finished job"]
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert str(tmp_path) in line
 
 
 def test_timings_are_read_as_they_were_written(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -256,18 +257,17 @@ def test_a_finished_folder_is_left_alone(place, folder, run_many):
     again, single, spelt, foreign = ran
     for process in (again, single, spelt):
         assert (process.returncode, complaints(process)) == (0, [])
-    assert again.stdout.count("finished before, nothing to do (restart=true begins anew)") == 5
+    assert again.stdout.count("restart=true") == 5
     assert [line.split()[0] for line in again.stdout.splitlines()[-6:-1]] == [
         job_of(folder, strategy).name for strategy in STRATEGIES
     ]
     for process in (single, spelt):
-        assert f"{job.name}: finished before" in process.stdout
+        assert re.search(rf"{re.escape(job.name)}: .*restart=true", process.stdout)
         assert "results: " in process.stdout
     assert foreign.returncode == 1
     (line,) = complaints(foreign)
-    assert "holds a job of another configuration" in line
-    assert "seed: 0 there, 1 here" in line
-    assert "strategy.temperature: 1.0 there, 2 here" in line
+    assert "configuration" in line
+    assert re.search(r"seed: 0\b.*\b1\b.*strategy\.temperature: 1\.0\b.*\b2\b", line)
     assert "restart=true" in line
     assert snapshot(place) == before
 
@@ -286,7 +286,7 @@ def test_restart_begins_anew(folder, run_many, tmp_path):
         cwd=tmp_path,
     )
     assert (same.returncode, complaints(same)) == (0, [])
-    assert "finished before" not in same.stdout
+    assert "restart=true" not in same.stdout
     assert (other.returncode, complaints(other)) == (0, [])
     assert (pd.read_csv(job / "trials.csv")["seed"] == 1).all()
     assert snapshot(job).keys() == finished.keys()
@@ -324,7 +324,7 @@ def test_an_unfinished_job_is_run(folder, run_many, tmp_path):
         [["experiment=debug", "score_threshold=40", f"output_dir={tmp_path}"]], tmp_path
     )
     assert (ran.returncode, complaints(ran)) == (0, [])
-    assert "finished before" not in ran.stdout
+    assert "restart=true" not in ran.stdout
     assert payload(job) == payload(job_of(folder, "softmax"))
 
 
@@ -375,53 +375,53 @@ def results_below(folder: Path) -> list[Path]:
 
 
 WRONG = {
-    f"seed={2**63}": "seed must be an integer <= 9223372036854775807",
-    f"first_trial={2**63 - 1} trials=2": "first_trial must be an integer <=",
-    "trials=100000000000": "trials must be an integer <=",
-    "env.max_steps=1000000000000": "max_steps must be an integer <=",
-    "episodes=maybe": "episodes must be true or false, got 'maybe'",
-    "restart=perhaps": "restart must be true or false, got 'perhaps'",
-    "~loss.gamma": "'loss.gamma' has been removed",
+    f"seed={2**63}": "seed ... <= 9223372036854775807",
+    f"first_trial={2**63 - 1} trials=2": "first_trial ... <=",
+    "trials=100000000000": "trials ... <=",
+    "env.max_steps=1000000000000": "max_steps ... <=",
+    "episodes=maybe": "episodes ... true ... false ... 'maybe'",
+    "restart=perhaps": "restart ... true ... false ... 'perhaps'",
+    "~loss.gamma": "loss.gamma",
     "strategy=null": "strategy",
-    "collector=fused env=taxi +env.kwargs.fickle_passenger=true": "does not serve fickle_passenger",
+    "collector=fused env=taxi +env.kwargs.fickle_passenger=true": "fickle_passenger",
     "strategy=thompson": "strategy=thompson",
-    "strategy=epsilon_greedy strategy.epsilon=1.5": "in [0, 1], got 1.5",
-    "strategy=epsilon_greedy strategy.epsilon=-0.1": "in [0, 1], got -0.1",
-    "strategy=epsilon_greedy strategy.epsilon=nan": "in [0, 1], got nan",
-    "strategy=epsilon_greedy strategy.epsilon=[0.1,0.2]": "has 2 values, but there are 3 trials",
-    "strategy=decaying_epsilon_greedy strategy.decay=1.01": "in [0, 1], got 1.01",
-    "strategy.temperature=0": "temperature must be a number > 0, got 0",
-    "strategy.temperature=-2": "temperature must be a number > 0, got -2",
-    "strategy.temperature=nan": "temperature must be a number > 0, got nan",
+    "strategy=epsilon_greedy strategy.epsilon=1.5": "in [0, 1] ... 1.5",
+    "strategy=epsilon_greedy strategy.epsilon=-0.1": "in [0, 1] ... -0.1",
+    "strategy=epsilon_greedy strategy.epsilon=nan": "in [0, 1] ... nan",
+    "strategy=epsilon_greedy strategy.epsilon=[0.1,0.2]": "2 values ... 3 trials",
+    "strategy=decaying_epsilon_greedy strategy.decay=1.01": "in [0, 1] ... 1.01",
+    "strategy.temperature=0": "temperature ... > 0 ... 0",
+    "strategy.temperature=-2": "temperature ... > 0 ... -2",
+    "strategy.temperature=nan": "temperature ... > 0 ... nan",
     "strategy.temperature=[1": "[1",
-    "trials=0": "trials must be an integer >= 1, got 0",
-    "trials=x": "trials must be an integer >= 1, got 'x'",
-    "first_trial=-1": "first_trial must be an integer >= 0, got -1",
-    "seed=-1": "seed must be an integer >= 0, got -1",
-    "max_iterations=0": "max_iterations must be an integer >= 1, got 0",
-    "score_window=0": "score_window must be an integer >= 1, got 0",
-    "score_threshold=nan": "score_threshold must be a number that is finite, got nan",
-    "optimizer.lr=-0.05": "lr must be a number > 0, got -0.05",
-    "optimizer.lr=nan": "lr must be a number > 0, got nan",
+    "trials=0": "trials ... >= 1 ... 0",
+    "trials=x": "trials ... >= 1 ... 'x'",
+    "first_trial=-1": "first_trial ... >= 0 ... -1",
+    "seed=-1": "seed ... >= 0 ... -1",
+    "max_iterations=0": "max_iterations ... >= 1 ... 0",
+    "score_window=0": "score_window ... >= 1 ... 0",
+    "score_threshold=nan": "score_threshold ... finite ... nan",
+    "optimizer.lr=-0.05": "lr ... > 0 ... -0.05",
+    "optimizer.lr=nan": "lr ... > 0 ... nan",
     "optimizer=lion": "optimizer=lion",
-    "loss.gamma=1.5": "gamma must be a number in [0, 1], got 1.5",
-    "loss.gamma=nan": "gamma must be a number in [0, 1], got nan",
+    "loss.gamma=1.5": "gamma ... in [0, 1] ... 1.5",
+    "loss.gamma=nan": "gamma ... in [0, 1] ... nan",
     "loss.reduction=mean": "mean",
     "env=pong": "env=pong",
-    "env=gym": "env.id must be set",
+    "env=gym": "env.id",
     "env=gym env.id=NoSuch-v7": "NoSuch-v7",
     "env=gym env.id=Taxi-v3": "Taxi-v3",
-    "env=gym env.id=Pendulum-v1": "continuous actions, not served by Softmax and LinearPolicy",
+    "env=gym env.id=Pendulum-v1": "continuous actions ... Softmax and LinearPolicy",
     "env=gym env.id=Blackjack-v1": "Blackjack-v1",
-    "env=gym env.id=CliffWalking-v1": "set max_steps",
-    "env.max_steps=0": "max_steps must be an integer >= 1, got 0",
-    "env.max_steps=nan": "max_steps must be an integer >= 1, got nan",
+    "env=gym env.id=CliffWalking-v1": "max_steps",
+    "env.max_steps=0": "max_steps ... >= 1 ... 0",
+    "env.max_steps=nan": "max_steps ... >= 1 ... nan",
     "foo=1": "'foo'",
     "+foo=1": "'foo'",
     "++foo=1": "'foo'",
     "strategy.foo=1": "'strategy.foo'",
-    "env.kwargs={render_mode:rgb}": "a + adds it: +env.kwargs={render_mode:rgb}",
-    "env.attributes.gravity=3.7": "a + adds it: +env.attributes.gravity=3.7",
+    "env.kwargs={render_mode:rgb}": "+env.kwargs={render_mode:rgb}",
+    "env.attributes.gravity=3.7": "+env.attributes.gravity=3.7",
     "+strategy.foo=1": "'strategy.foo'",
     "+loss.lr=1": "'loss.lr'",
     "+env.kwargs.foo=1": "foo",
@@ -431,7 +431,7 @@ WRONG = {
     "experiment=nope": "experiment=nope",
     "-m strategy=softmax,thompson trials=0": "",
     "output_dir={file}/x": "{file}/x",
-    "output_dir=/proc/no/where": "cannot write /proc/no",
+    "output_dir=/proc/no/where": "/proc/no",
     "nonsense": "nonsense",
 }
 
@@ -460,7 +460,8 @@ def test_wrong_input_is_one_line(refused, text):
         return
     (line,) = complaints(process)
     assert line.startswith("error: ")
-    assert WRONG[text].replace("{file}", str(place / "file")) in line
+    parts = WRONG[text].replace("{file}", str(place / "file")).split(" ... ")
+    assert re.search(".*".join(map(re.escape, parts)), line)
     assert process.stdout == ""
 
 
@@ -488,7 +489,7 @@ def test_wrong_input_in_a_process_of_its_own(run_cli, tmp_path):
     process = run_cli("strategy=epsilon_greedy", "strategy.epsilon=2", cwd=tmp_path)
     assert process.returncode == 1
     assert process.stdout == ""
-    assert process.stderr == "error: strategy: epsilon must be a number in [0, 1], got 2\n"
+    assert re.fullmatch(r"error: strategy: epsilon.*\[0, 1\].*2\n", process.stderr)
     assert not results_below(tmp_path)
 
 
@@ -514,8 +515,11 @@ def test_one_wrong_job_does_not_stop_a_sweep(run_many, tmp_path):
         cwd=tmp_path,
     )  # fmt: skip
     assert ran.returncode == 1
-    reason = "epsilon_greedy,epsilon=2.0: strategy: epsilon must be a number in [0, 1], got 2"
-    assert complaints(ran) == [f"error: {reason}", "1 of 3 jobs failed:", f"  {reason}"]
+    first, summary, last = complaints(ran)
+    reason = first.removeprefix("error: ")
+    assert re.match(r"epsilon_greedy,epsilon=2\.0: .*epsilon.*\[0, 1\].*2", reason)
+    assert "1 of 3" in summary
+    assert last.strip() == reason
     finished = {path.parent.name for path in results_below(tmp_path) if path.name == "run.json"}
     assert finished == {"epsilon_greedy,epsilon=0.1", "epsilon_greedy,epsilon=0.4"}
     assert len(ran.stdout.splitlines()) == 5  # header, rule, two jobs, place
@@ -532,12 +536,13 @@ def test_help_and_configuration_without_torch(run_many, tmp_path):
             ["--cfg", "job", "--resolve", "experiment=epsilon_grid"],
         ],
         cwd=tmp_path,
+        cold=True,
     )
     for process in (helped, shown, sweep):
         assert (process.returncode, complaints(process)) == (0, [])
         assert not process.torch
     for text in (
-        "python scripts/train.py -m",
+        "trl-explore train -m",
         "strategy: argmax, ",
         "experiment: baselines, ",
         "trials: 30",

@@ -285,12 +285,12 @@ def test_a_long_name_is_short_and_still_its_own():
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("+foo=1", r"unknown key 'foo'; known: .*seed.*trials"),
-        ("+strategy.epsilon=0.1", r"unknown key 'strategy.epsilon'; strategy=softmax has: temper"),
-        ("+loss.gama=1", r"unknown key 'loss.gama'; loss=reinforce has: .*gamma"),
-        ("+env.steps=1", r"unknown key 'env.steps'; env=cartpole has: attributes, id, kwargs, max"),
-        ("+optimizer.betas=[0,0]", r"unknown key 'optimizer.betas'; optimizer=adam has: lr"),
-        ("+policy.bias=true", r"unknown key 'policy.bias'; policy=linear has: init"),
+        ("+foo=1", r"'foo'.*seed.*trials"),
+        ("+strategy.epsilon=0.1", r"'strategy\.epsilon'.*strategy=softmax.*temperature"),
+        ("+loss.gama=1", r"'loss\.gama'.*loss=reinforce.*gamma"),
+        ("+env.steps=1", r"'env\.steps'.*env=cartpole.*max_steps"),
+        ("+optimizer.betas=[0,0]", r"'optimizer\.betas'.*optimizer=adam.*lr"),
+        ("+policy.bias=true", r"'policy\.bias'.*policy=linear.*init"),
     ],
 )
 def test_keys_that_do_not_exist(override, message):
@@ -336,28 +336,26 @@ def test_names_of_schedules():
     [
         (
             ["strategy=epsilon_greedy", COSINE, "+strategy.epsilon.decay=1"],
-            "unknown key 'strategy.epsilon.decay'; this schedule has: final, initial, iterations",
+            "'strategy.epsilon.decay' ... final, initial, iterations",
         ),
         (
             ["strategy=boltzmann", "+strategy.temperature.final=1"],
-            "unknown key 'strategy.temperature.final'; this schedule has: decay, initial",
+            "'strategy.temperature.final' ... decay, initial",
         ),
         (
             ["strategy=boltzmann", "+schedule@strategy.temperature=linear"],
-            "unknown key 'strategy.temperature.decay'; this schedule has: final, initial, "
-            "iterations; strategy=boltzmann has a schedule of its own, which cannot be exchanged",
+            "'strategy.temperature.decay' ... final, initial, iterations ... strategy=boltzmann",
         ),
-        ([COSINE], "unknown key 'strategy.epsilon'; strategy=softmax has: temperature"),
+        ([COSINE], "'strategy.epsilon' ... strategy=softmax ... temperature"),
         (
             ["+schedule@optimizer.lr=linear"],
-            "a schedule belongs to a parameter of the strategy, +schedule@strategy.NAME=…, "
-            "got 'optimizer.lr'",
+            "+schedule@strategy.NAME= ... 'optimizer.lr'",
         ),
-        (["+schedule=linear"], "unknown key 'schedule'; known: "),
+        (["+schedule=linear"], "'schedule'"),
     ],
 )
 def test_schedules_where_there_are_none(overrides, message):
-    with pytest.raises(ConfigError, match=f"^{re.escape(message)}"):
+    with pytest.raises(ConfigError, match=r".*".join(map(re.escape, message.split(" ... ")))):
         check_keys(*composed(*overrides))
 
 
@@ -365,7 +363,7 @@ def test_a_parameter_that_takes_no_schedule():
     overrides = ("strategy=decaying_epsilon_greedy", "+schedule@strategy.decay=linear")
     config, choices = composed(*overrides)
     check_keys(config, choices)
-    with pytest.raises(ConfigError, match=r"strategy: decay must be a number in \[0, 1\], got Lin"):
+    with pytest.raises(ConfigError, match=r"strategy: decay.*\[0, 1\].*Lin"):
         build_trainer(config)
 
 
@@ -374,7 +372,7 @@ def test_arguments_of_an_environment_are_free():
 
 
 def test_a_mandatory_value():
-    with pytest.raises(ConfigError, match=r"env\.id must be set, e\.g\. env\.id="):
+    with pytest.raises(ConfigError, match=r"env\.id.*env\.id="):
         resolved(composed("env=gym")[0])
 
 
@@ -385,53 +383,53 @@ def test_an_interpolation_that_fails():
 
 
 WRONG = [
-    (("trials=0",), "trials must be an integer >= 1, got 0"),
-    (("trials=2.5",), "trials must be an integer >= 1, got 2.5"),
-    (("trials=many",), "trials must be an integer >= 1, got 'many'"),
-    (("seed=-1",), "seed must be an integer >= 0, got -1"),
-    (("seed=true",), "seed must be an integer >= 0, got True"),
-    (("first_trial=-1",), "first_trial must be an integer >= 0, got -1"),
-    (("threads=0",), "threads must be an integer >= 1, got 0"),
-    (("max_iterations=0",), "max_iterations must be an integer >= 1, got 0"),
-    (("score_window=0",), "score_window must be an integer >= 1, got 0"),
-    (("score_threshold=nan",), "score_threshold must be a number that is finite, got nan"),
-    (("strategy.temperature=0",), "strategy: temperature must be a number > 0, got 0"),
-    (("strategy.temperature=-1",), "strategy: temperature must be a number > 0, got -1"),
-    (("strategy.temperature=nan",), "strategy: temperature must be a number > 0, got nan"),
-    (("strategy.temperature=inf",), "strategy: temperature must be a number > 0, got inf"),
-    (("strategy.temperature=hot",), "strategy: temperature must be a number > 0, got 'hot'"),
+    (("trials=0",), "trials ... >= 1 ... 0"),
+    (("trials=2.5",), "trials ... >= 1 ... 2.5"),
+    (("trials=many",), "trials ... >= 1 ... 'many'"),
+    (("seed=-1",), "seed ... >= 0 ... -1"),
+    (("seed=true",), "seed ... >= 0 ... True"),
+    (("first_trial=-1",), "first_trial ... >= 0 ... -1"),
+    (("threads=0",), "threads ... >= 1 ... 0"),
+    (("max_iterations=0",), "max_iterations ... >= 1 ... 0"),
+    (("score_window=0",), "score_window ... >= 1 ... 0"),
+    (("score_threshold=nan",), "score_threshold ... finite ... nan"),
+    (("strategy.temperature=0",), "strategy: temperature ... > 0 ... 0"),
+    (("strategy.temperature=-1",), "strategy: temperature ... > 0 ... -1"),
+    (("strategy.temperature=nan",), "strategy: temperature ... > 0 ... nan"),
+    (("strategy.temperature=inf",), "strategy: temperature ... > 0 ... inf"),
+    (("strategy.temperature=hot",), "strategy: temperature ... > 0 ... 'hot'"),
     *(
         (
             ("strategy=epsilon_greedy", f"strategy.epsilon={value}"),
-            f"strategy: epsilon must be a number in [0, 1], got {value}",
+            f"strategy: epsilon ... in [0, 1] ... {value}",
         )
         for value in ("1.5", "-0.1", "nan")
     ),
     (
         ("strategy=epsilon_greedy", "strategy.epsilon=[0.1,0.2,0.3]", "trials=2"),
-        "has 3 values, but there are 2 trials",
+        "3 values ... 2 trials",
     ),
-    (("strategy=epsilon_greedy", "strategy.epsilon=[0.1,2]", "trials=2"), "in [0, 1], got 2"),
+    (("strategy=epsilon_greedy", "strategy.epsilon=[0.1,2]", "trials=2"), "in [0, 1] ... 2"),
     (
         ("strategy=decaying_epsilon_greedy", "strategy.decay=1.1"),
-        "strategy: decay must be a number in [0, 1], got 1.1",
+        "strategy: decay ... in [0, 1] ... 1.1",
     ),
-    (("optimizer.lr=-0.1",), "optimizer: lr must be a number > 0, got -0.1"),
-    (("optimizer.lr=0",), "optimizer: lr must be a number > 0, got 0"),
-    (("loss.gamma=1.01",), "loss: gamma must be a number in [0, 1], got 1.01"),
-    (("loss.gamma=nan",), "loss: gamma must be a number in [0, 1], got nan"),
-    (("loss.reduction=mean",), "loss: reduction 'mean' couples the trials"),
-    (("loss.reduction=max",), "loss: reduction must be one of sum, mean, none, got 'max'"),
-    (("env.max_steps=0",), "env: max_steps must be an integer >= 1, got 0"),
-    (("env.id=NoSuch-v0",), "env: unknown environment id 'NoSuch-v0'"),
-    (("env.id=Pendulum-v1",), "continuous actions, not served by Softmax and LinearPolicy"),
-    (("env.id=Blackjack-v1",), "env: environment 'Blackjack-v1' has observation space Tuple"),
+    (("optimizer.lr=-0.1",), "optimizer: lr ... > 0 ... -0.1"),
+    (("optimizer.lr=0",), "optimizer: lr ... > 0 ... 0"),
+    (("loss.gamma=1.01",), "loss: gamma ... in [0, 1] ... 1.01"),
+    (("loss.gamma=nan",), "loss: gamma ... in [0, 1] ... nan"),
+    (("loss.reduction=mean",), "loss: reduction ... 'mean' ... trials"),
+    (("loss.reduction=max",), "loss: reduction ... sum, mean, none ... 'max'"),
+    (("env.max_steps=0",), "env: max_steps ... >= 1 ... 0"),
+    (("env.id=NoSuch-v0",), "env: ... 'NoSuch-v0'"),
+    (("env.id=Pendulum-v1",), "continuous actions ... Softmax and LinearPolicy"),
+    (("env.id=Blackjack-v1",), "env: ... 'Blackjack-v1' ... Tuple"),
     (
         ("env.id=CliffWalking-v1", "env.max_steps=null"),
-        "has no time limit of its own; set max_steps",
+        "CliffWalking-v1 ... max_steps",
     ),
-    (("env.id=3",), "env: environment 3"),
-    (("env.id=null",), "env: environment None"),
+    (("env.id=3",), "env: ... 3"),
+    (("env.id=null",), "env: ... None"),
     (("env.kwargs=3",), "env: "),
     (("+env.kwargs.nonsense=1",), "nonsense"),
     (("env=gym", "env.id=FrozenLake-v1", "+env.kwargs.map_name=no"), "'no'"),
@@ -442,18 +440,18 @@ WRONG = [
 def test_wrong_values_are_one_line(overrides, message):
     with pytest.raises(ConfigError) as error:
         build_trainer(composed(*overrides)[0])
-    assert message in str(error.value)
+    assert re.search(".*".join(map(re.escape, message.split(" ... "))), str(error.value))
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("strategy=thompson", "there is no strategy=thompson; available: argmax, "),
-        ("env=pong", "there is no env=pong; available: acrobot, "),
-        ("experiment=no", "there is no experiment=no; available: baselines, "),
-        ("foo=1", "unknown key 'foo'; --help lists the keys"),
-        ("strategy.epsilon=1", "unknown key 'strategy.epsilon'; --help lists the keys"),
+        ("strategy=thompson", "strategy=thompson ... argmax, "),
+        ("env=pong", "env=pong ... acrobot, "),
+        ("experiment=no", "experiment=no ... baselines, "),
+        ("foo=1", "'foo' ... --help"),
+        ("strategy.epsilon=1", "'strategy.epsilon' ... --help"),
         ("strategy.temperature=[1", ""),
         ("=", ""),
     ],
@@ -462,14 +460,14 @@ def test_what_hydra_refuses_is_described_in_one_line(override, message):
     with pytest.raises((HydraException, OmegaConfBaseException)) as error:
         composed(override)
     text = describe(error.value)
-    assert text.startswith(message)
+    assert re.search(".*".join(map(re.escape, message.split(" ... "))), text)
     assert text
     assert "\n" not in text
 
 
 def test_errors_of_the_file_system_in_one_line():
     error = PermissionError(13, "Permission denied", "/there")
-    assert describe(error) == "cannot write /there: Permission denied"
+    assert re.fullmatch("[^\n]*/there[^\n]*Permission denied[^\n]*", describe(error))
     assert describe(ValueError()) == "ValueError"
 
 

@@ -182,13 +182,13 @@ def test_any_other_id(run_many, tmp_path):
         cwd=tmp_path,
     )
     assert [result.returncode for result in ran] == [0, 0, 1, 0, 1, 1]
-    assert "finished before" in ran[1].stdout
-    assert ran[2].stderr == (
-        "error: score_threshold must be set, e.g. score_threshold=100: "
-        "gymnasium has none for 'CliffWalking-v1'\n"
-    )
-    assert "env.id must be set" in ran[4].stderr
-    assert "unknown environment id 'No-v0'" in ran[5].stderr
+    assert "restart=true" in ran[1].stdout
+    for result, words in zip(
+        (ran[2], ran[4], ran[5]),
+        ("score_threshold=.*'CliffWalking-v1'", r"env\.id", "'No-v0'"),
+        strict=True,
+    ):
+        assert re.fullmatch(f"error: .*{words}.*\n", result.stderr)
     used = {
         config["env"]["id"]: config["score_threshold"]
         for path in tmp_path.glob("*/*/run.json")
@@ -205,17 +205,17 @@ def test_a_module_named_with_the_id_is_imported(tmp_path, monkeypatch):
     )
     monkeypatch.syspath_prepend(tmp_path)
     assert reward_threshold("registers_an_environment:Registered-v0") == 7.0
-    with pytest.raises(ValueError, match="unknown environment id 'absent_module:No-v0'"):
+    with pytest.raises(ValueError, match="'absent_module:No-v0'"):
         reward_threshold("absent_module:No-v0")
     module.with_name("broken_module.py").write_text("raise OSError('no disk')")
-    with pytest.raises(ValueError, match="cannot be imported: OSError: no disk"):
+    with pytest.raises(ValueError, match=r"broken_module.*OSError: no disk"):
         reward_threshold("broken_module:No-v0")
 
 
 def test_the_registered_thresholds():
     assert reward_threshold("FrozenLake8x8-v1") == 0.85
     assert reward_threshold("Pendulum-v1") is None
-    with pytest.raises(ValueError, match="unknown environment id 'No-v0'"):
+    with pytest.raises(ValueError, match="'No-v0'"):
         reward_threshold("No-v0")
 
 
@@ -230,5 +230,5 @@ def test_the_number_of_processes_is_not_part_of_a_job(run_many, tmp_path):
     )  # fmt: skip
     first, again, anew = run_many([one, two, [*two, "restart=true"]], cwd=tmp_path)
     assert first.returncode == again.returncode == anew.returncode == 0
-    assert "finished before" in again.stdout
+    assert "restart=true" in again.stdout
     assert len(list(tmp_path.glob("*/*/run.json"))) == 1

@@ -279,14 +279,14 @@ class Odd(Counting):
 @pytest.mark.parametrize(
     ("attributes", "message"),
     [
-        ({"observation_space": spaces.Dict(a=spaces.Discrete(2))}, "Box or Discrete is needed"),
-        ({"action_space": spaces.MultiDiscrete([2, 2])}, "Discrete, or a Box with one dimension"),
-        ({"action_space": spaces.Box(0, 1, (2, 2))}, "Discrete, or a Box with one dimension"),
+        ({"observation_space": spaces.Dict(a=spaces.Discrete(2))}, "Dict.*Box or Discrete"),
+        ({"action_space": spaces.MultiDiscrete([2, 2])}, "Discrete.*Box.*one dimension"),
+        ({"action_space": spaces.Box(0, 1, (2, 2))}, "Discrete.*Box.*one dimension"),
         (
             {"action_space": spaces.Box(0, 9, (2,), np.int64)},
-            "Discrete, or a Box with one dimension of floats",
+            "Discrete.*Box.*one dimension.*float",
         ),
-        ({"action_space": spaces.Discrete(2, start=1)}, "numbers its actions from 1"),
+        ({"action_space": spaces.Discrete(2, start=1)}, "actions from 1"),
     ],
 )
 def test_kinds_not_served(attributes, message, monkeypatch):
@@ -300,7 +300,7 @@ def test_kinds_not_served(attributes, message, monkeypatch):
 
 def test_an_environment_without_a_limit_needs_max_steps(monkeypatch):
     monkeypatch.setitem(gym.registry, "Free-v0", EnvSpec("Free-v0", Counting))
-    with pytest.raises(ValueError, match="'Free-v0' has no time limit of its own; set max_steps"):
+    with pytest.raises(ValueError, match=r"'Free-v0'.*max_steps"):
         make_env("Free-v0")
     assert lane_env(make_env("Free-v0", max_steps=4)).max_steps == 4
 
@@ -308,48 +308,48 @@ def test_an_environment_without_a_limit_needs_max_steps(monkeypatch):
 @pytest.mark.parametrize(
     ("id", "arguments", "message"),
     [
-        ("NoSuch-v0", {}, "unknown environment id 'NoSuch-v0'"),
-        ("ALE/Pong-v5", {}, "unknown environment id 'ALE/Pong-v5'"),
-        ("no_module:NoSuch-v0", {}, "unknown environment id 'no_module:NoSuch-v0'"),
-        ("not an id", {}, "unknown environment id 'not an id'"),
+        ("NoSuch-v0", {}, "'NoSuch-v0'"),
+        ("ALE/Pong-v5", {}, "'ALE/Pong-v5'"),
+        ("no_module:NoSuch-v0", {}, "'no_module:NoSuch-v0'"),
+        ("not an id", {}, "'not an id'"),
         ("Blackjack-v1", {}, r"'Blackjack-v1' has observation space Tuple.*Box or Discrete"),
         (
             "CartPole-v1",
             {"kwargs": {"nonsense": 1}},
-            "'CartPole-v1' refuses its arguments.*nonsense",
+            "'CartPole-v1'.*nonsense",
         ),
         ("FrozenLake-v1", {"kwargs": {"map_name": "no"}}, "'FrozenLake-v1'.*'no'"),
         (
             "CartPole-v1",
             {"attributes": {"mass": 1.0}},
-            "'CartPole-v1' has no number, flag or text 'mass' to set",
+            "'CartPole-v1'.*'mass'",
         ),
         (
             "CartPole-v1",
             {"attributes": {"reset": 1.0}},
-            "'CartPole-v1' has no number, flag or text 'reset' to set",
+            "'CartPole-v1'.*'reset'",
         ),
         (
             "CartPole-v1",
             {"attributes": {"gravity": "low"}},
-            "attribute gravity of 'CartPole-v1' must be a number that is finite, got 'low'",
+            "gravity.*'CartPole-v1'.*finite.*'low'",
         ),
         (
             "CartPole-v1",
             {"attributes": {"kinematics_integrator": 3}},
-            "attribute kinematics_integrator of 'CartPole-v1' must be text, got 3",
+            "kinematics_integrator.*'CartPole-v1'.*text.*3",
         ),
         (
             "Taxi-v4",
             {"attributes": {"fickle_passenger": 1}},
-            "attribute fickle_passenger of 'Taxi-v4' must be true or false, got 1",
+            "fickle_passenger.*'Taxi-v4'.*true.*false.*1",
         ),
-        ("CartPole-v1", {"workers": 0}, "workers must be an integer >= 1, got 0"),
-        ("CartPole-v1", {"max_steps": 0}, "max_steps must be an integer >= 1, got 0"),
-        ("CartPole-v1", {"max_steps": -3}, "max_steps must be an integer >= 1, got -3"),
-        ("CartPole-v1", {"max_steps": 1.5}, "max_steps must be an integer >= 1, got 1.5"),
-        ("CartPole-v1", {"trials": 0}, "num_envs must be an integer >= 1, got 0"),
-        ("CartPole-v1", {"seed": -1}, "seed must be an integer >= 0, got -1"),
+        ("CartPole-v1", {"workers": 0}, "workers.*>= 1.*0"),
+        ("CartPole-v1", {"max_steps": 0}, "max_steps.*>= 1.*0"),
+        ("CartPole-v1", {"max_steps": -3}, "max_steps.*>= 1.*-3"),
+        ("CartPole-v1", {"max_steps": 1.5}, "max_steps.*>= 1.*1.5"),
+        ("CartPole-v1", {"trials": 0}, "num_envs.*>= 1.*0"),
+        ("CartPole-v1", {"seed": -1}, "seed.*>= 0.*-1"),
     ],
 )
 def test_wrong_input_is_one_clear_line(id, arguments, message):
@@ -364,7 +364,7 @@ def test_a_missing_package_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "Box2D", None)
     with pytest.raises(
         ValueError,
-        match=r"^environment 'LunarLander-v3' needs a package: pip install 'trl_explore\[box2d\]'$",
+        match=r"'LunarLander-v3'.*pip install 'trl_explore\[box2d\]'$",
     ):
         make_env("LunarLander-v3")
 
@@ -501,12 +501,12 @@ def test_the_loss_obeys_the_mask(train, masked):
 @pytest.mark.parametrize(
     ("broken", "message"),
     [
-        ((2, "observation"), r"'Masked-v0' gave observation\[1\] = nan in episode 0 of trial 7"),
-        ((2, "reward"), "'Masked-v0' gave the reward inf in episode 0 of trial 7"),
-        ((2, "mask"), "'Masked-v0' gave an action mask that forbids every action in episode 0"),
-        ((2, "info"), r"info\['action_mask'\] must be one value for each of 4 actions, got None"),
-        ((2, "shape"), r"info\['action_mask'\] must be one value for each of 4 actions, got array"),
-        ((0, "observation"), r"'Masked-v0' gave observation\[1\] = nan in episode 0 of trial 7"),
+        ((2, "observation"), r"'Masked-v0'.*observation\[1\].*nan.*episode 0.*trial 7"),
+        ((2, "reward"), "'Masked-v0'.*reward.*inf.*episode 0.*trial 7"),
+        ((2, "mask"), "'Masked-v0'.*action mask.*episode 0"),
+        ((2, "info"), r"info\['action_mask'\].*4 actions.*None"),
+        ((2, "shape"), r"info\['action_mask'\].*4 actions.*array"),
+        ((0, "observation"), r"'Masked-v0'.*observation\[1\].*nan.*episode 0.*trial 7"),
     ],
 )
 def test_what_is_not_finite_is_refused_where_it_appears(masked, broken, message):
@@ -520,16 +520,12 @@ def test_what_is_not_finite_is_refused_where_it_appears(masked, broken, message)
 def test_an_action_that_is_not_finite_is_refused():
     lanes = LaneVectorEnv("Pendulum-v1", 2)
     lanes.reset()
-    with pytest.raises(
-        ValueError, match=r"'Pendulum-v1' was given the action \[nan\] in episode 0 of trial 1"
-    ):
+    with pytest.raises(ValueError, match=r"'Pendulum-v1'.*action \[nan\].*episode 0.*trial 1"):
         lanes.step(np.array([[0.0], [np.nan]], np.float32))
 
 
 def test_lane_env_refuses_other_environments():
-    with pytest.raises(
-        ValueError, match=r"has no lanes; build it with trl_explore\.envs\.make_env"
-    ):
+    with pytest.raises(ValueError, match=r"lanes.*trl_explore\.envs\.make_env"):
         lane_env(cast(Any, object()))
 
 

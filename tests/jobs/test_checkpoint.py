@@ -96,9 +96,9 @@ def test_a_packed_state_is_a_copy():
 @pytest.mark.parametrize(
     ("state", "message"),
     [
-        ({"loss": {"seen": {1, 2}}}, "the state of loss.seen is a set"),
-        ({"loss": [0, object()]}, "the state of loss.1 is a object"),
-        ({"loss": {(1, 2): 0}}, "the state of loss has a key that is no text or integer"),
+        ({"loss": {"seen": {1, 2}}}, r"loss\.seen.*set"),
+        ({"loss": [0, object()]}, r"loss\.1.*object"),
+        ({"loss": {(1, 2): 0}}, "loss.*key"),
     ],
 )
 def test_other_states_are_refused(state, message):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import re
 
 import numpy as np
 import pytest
@@ -47,8 +48,8 @@ def test_the_live_line(trials, clock):
     clock[0] += 3.0
     progress(trials)
     line = stream.getvalue()
-    assert line.startswith("\rsoftmax: iteration 2, converged 1/2, mean score 4.5, 500 frames/s")
-    assert "at most 12 s left" in line  # 3 s for 2 iterations, 8 to go
+    assert re.match(r"\rsoftmax: .*\b2, .*\b1/2, .*\b4\.5, 500 frames/s", line)
+    assert "12 s left" in line  # 3 s for 2 iterations, 8 to go
     assert "\n" not in line
 
 
@@ -139,7 +140,6 @@ def test_a_cap_before_the_first_full_window_is_told():
         outcome("four", [25] * 2, ["capped"] * 2, cap=25, config={"episodes_per_update": 4}),
         outcome("greedy", [9] * 2, ["capped"] * 2, cap=9, config={"stop_on": "evaluation"}),
     ]
-    assert warnings(jobs[:1]) == [
-        "no trial could converge with max_iterations=50: a score takes score_window=100 episodes"
-    ]
+    (line,) = warnings(jobs[:1])
+    assert re.search("max_iterations=50.*score_window=100", line)
     assert warnings(jobs[1:]) == []

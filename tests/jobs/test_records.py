@@ -77,11 +77,11 @@ def column(name, value, line=1):
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        (column("kl", "x"), "column kl is not of numbers"),
-        (column("greedy_share", "1.5"), "column greedy_share leaves the range 0 to 1"),
-        (column("gradient_norm", "-1"), "column gradient_norm leaves the range 0 to inf"),
-        (column("kl", "0.123456"), "episodes of one iteration differ"),
-        (lambda lines: [x.rsplit(",", 1)[0] for x in lines], "no column gradient_norm"),
+        (column("kl", "x"), "kl"),
+        (column("greedy_share", "1.5"), "greedy_share.*0.*1"),
+        (column("gradient_norm", "-1"), "gradient_norm.*0.*inf"),
+        (column("kl", "0.123456"), "iteration"),
+        (lambda lines: [x.rsplit(",", 1)[0] for x in lines], "gradient_norm"),
     ],
     ids=["text", "share", "negative", "differing", "missing"],
 )
@@ -108,10 +108,10 @@ def test_no_value_is_allowed(job):
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        (lambda lines: lines[:-1], "its episodes are not those of trials.csv"),
-        (lambda lines: [*lines, "9,3,1.0"], "its episodes are not those of trials.csv"),
-        (lambda lines: [lines[0], "0,3,nan", *lines[2:]], "which is not a finite number"),
-        (lambda lines: ["trial,iteration", *lines[1:]], "has 3 fields, not 2"),
+        (lambda lines: lines[:-1], r"evaluations\.csv.*trials\.csv"),
+        (lambda lines: [*lines, "9,3,1.0"], r"evaluations\.csv.*trials\.csv"),
+        (lambda lines: [lines[0], "0,3,nan", *lines[2:]], r"evaluations\.csv.*finite"),
+        (lambda lines: ["trial,iteration", *lines[1:]], r"evaluations\.csv.*3.*2"),
     ],
     ids=["short", "foreign", "nan", "column"],
 )
@@ -125,5 +125,5 @@ def test_evaluations_that_nobody_asked_for_are_refused(job):
     run = json.loads((job / "run.json").read_text())
     run["config"]["evaluate_every"] = 0
     (job / "run.json").write_text(json.dumps(run))
-    with pytest.raises(ResultsError, match="configured without evaluations"):
+    with pytest.raises(ResultsError, match=r"evaluations\.csv"):
         read_evaluations(job)

@@ -188,7 +188,7 @@ def test_episodes_can_be_switched_off(tmp_path):
     job = write(tmp_path / "job", episodes=False)
     assert names(job) == [name for name in FILES if name != "episodes.csv"]
     assert len(results.read_job(job)) == 3
-    with pytest.raises(ResultsError, match=r"episodes\.csv: missing"):
+    with pytest.raises(ResultsError, match=r"episodes\.csv.*missing"):
         results.read_episodes(job)
 
 
@@ -245,7 +245,7 @@ def test_a_job_is_complete_or_absent(tmp_path, monkeypatch, point):
     )
     assert not results.is_finished(job)
     assert results.find_jobs(tmp_path) == []
-    with pytest.raises(ResultsError, match=r"no finished job \(run\.json is missing\)"):
+    with pytest.raises(ResultsError, match=r"run\.json.*missing"):
         results.read_job(job)
     monkeypatch.undo()
     results.clear(job)
@@ -349,7 +349,7 @@ def test_a_missing_file(job, name):
 
 def test_missing_curves(job):
     shutil.rmtree(job / "scalars")
-    with pytest.raises(ResultsError, match="no learning curves") as error:
+    with pytest.raises(ResultsError, match="scalars") as error:
         results.read_curves(job)
     one_line(error)
 
@@ -406,10 +406,10 @@ def test_weights_are_read_back(job):
     for name, weight in weights.items():
         assert torch.equal(torch.from_numpy(weight), saved[name])
     (job / "weights.safetensors").write_bytes(b"{}")
-    with pytest.raises(results.ResultsError, match="not readable as weights"):
+    with pytest.raises(results.ResultsError, match=r"weights\.safetensors"):
         results.read_weights(job)
     (job / "weights.safetensors").unlink()
-    with pytest.raises(results.ResultsError, match="missing"):
+    with pytest.raises(results.ResultsError, match=r"weights\.safetensors.*missing"):
         results.read_weights(job)
 
 

@@ -113,7 +113,7 @@ def test_actions_of_other_dtypes(dtype):
 
 @pytest.mark.parametrize("action", [-1, 2, 1000])
 def test_an_action_that_does_not_exist(action):
-    with pytest.raises(IndexError, match=r"an action is not in \[0, 2\)"):
+    with pytest.raises(IndexError, match=r"action.*\[0, 2\)"):
         categorical_log_prob(torch.zeros(3, 2), torch.tensor([0, action, 1]))
 
 

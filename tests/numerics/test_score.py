@@ -118,9 +118,7 @@ def test_nan_stays_in_its_trial(n_actions):
 def test_out_of_range(n_actions, action, trial):
     observation, weight, actions, advantage, trials = problem(n_actions=n_actions)
     actions[7], trials[7] = action, trial
-    with pytest.raises(
-        IndexError, match=r"an action is not in \[0, .\) or a trial not in \[0, 4\)"
-    ):
+    with pytest.raises(IndexError, match=r"action.*\[0, .\).*trial.*\[0, 4\)"):
         linear_softmax_score(observation, weight, actions, advantage, trials)
 
 
@@ -168,7 +166,7 @@ def test_out_of_range_beside_zeros(action, trial):
     observation, actions = torch.eye(16), torch.zeros(16, dtype=torch.int64)
     trials = torch.arange(16) // 4
     actions[7], trials[7] = action, trial
-    with pytest.raises(IndexError, match="an action is not in"):
+    with pytest.raises(IndexError, match="action"):
         linear_softmax_score(observation, torch.ones(4, 3, 16), actions, torch.ones(16), trials)
 
 

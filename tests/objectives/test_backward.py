@@ -203,7 +203,7 @@ def test_a_changed_policy_is_not_passed_over(world):
         torch.testing.assert_close(
             ReinforceLoss(actor_of(policy), trials=TRIALS).backward(data), expected
         )
-    with pytest.raises(NotCompilableError, match="the policy LinearPolicy is not known"):
+    with pytest.raises(NotCompilableError, match="policy LinearPolicy"):
         FusedCollector(env, TensorDictSequential(hooked, Softmax()))
 
 
@@ -263,5 +263,5 @@ def test_actions_out_of_range(world):
     loss, _, data = build(world, "CartPole-v1", "linear")
     data = data.clone()
     data["action"][3] = 2
-    with pytest.raises(IndexError, match="an action is not in"):
+    with pytest.raises(IndexError, match="action"):
         loss.backward(data)

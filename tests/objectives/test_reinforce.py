@@ -668,14 +668,14 @@ def test_no_frames(env):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"gamma": 1.01}, r"gamma must be a number in \[0, 1\], got 1.01"),
-        ({"gamma": -0.1}, r"gamma must be a number in \[0, 1\], got -0.1"),
-        ({"gamma": math.nan}, r"gamma must be a number in \[0, 1\], got nan"),
-        ({"weight": 0.0}, "weight must be a number > 0, got 0.0"),
-        ({"weight": -1.0}, "weight must be a number > 0, got -1.0"),
-        ({"baseline": math.inf}, "baseline must be a number that is finite, got inf"),
-        ({"trials": 0}, "trials must be an integer >= 1, got 0"),
-        ({"reduction": "median"}, "reduction must be one of sum, mean, none, got 'median'"),
+        ({"gamma": 1.01}, r"gamma.*\[0, 1\].*1.01"),
+        ({"gamma": -0.1}, r"gamma.*\[0, 1\].*-0.1"),
+        ({"gamma": math.nan}, r"gamma.*\[0, 1\].*nan"),
+        ({"weight": 0.0}, "weight.*> 0.*0.0"),
+        ({"weight": -1.0}, "weight.*> 0.*-1.0"),
+        ({"baseline": math.inf}, "baseline.*finite.*inf"),
+        ({"trials": 0}, "trials.*>= 1.*0"),
+        ({"reduction": "median"}, "reduction.*sum, mean, none.*'median'"),
     ],
 )
 def test_arguments_out_of_range(arguments, message):

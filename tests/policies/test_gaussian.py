@@ -118,14 +118,14 @@ def test_row_k_of_a_batch_is_trial_k_alone(policy, dependent):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"initial_scale": 0.0}, "initial_scale must be a number in"),
-        ({"initial_scale": math.inf}, "initial_scale must be a number in"),
-        ({"initial_scale": "wide"}, "initial_scale must be a number in"),
-        ({"initial_scale": [1.0, 1.0]}, "initial_scale has 2 values, but an action has 4 dim"),
-        ({"init": "nonsense"}, "init must be one of"),
-        ({"output_gain": -1.0}, "output_gain must be"),
-        ({"state_dependent_scale": "yes"}, "state_dependent_scale must be true or false"),
-        ({"bias": 2}, "bias must be true or false"),
+        ({"initial_scale": 0.0}, "initial_scale.*0.0"),
+        ({"initial_scale": math.inf}, "initial_scale.*inf"),
+        ({"initial_scale": "wide"}, "initial_scale.*'wide'"),
+        ({"initial_scale": [1.0, 1.0]}, "initial_scale.*2.*4"),
+        ({"init": "nonsense"}, "init.*'nonsense'"),
+        ({"output_gain": -1.0}, "output_gain.*-1.0"),
+        ({"state_dependent_scale": "yes"}, "state_dependent_scale.*'yes'"),
+        ({"bias": 2}, "bias.*2"),
     ],
 )
 @pytest.mark.parametrize("policy", BOTH)
@@ -143,7 +143,7 @@ def test_hidden_layers_that_make_no_sense(hidden):
 @pytest.mark.parametrize("policy", BOTH)
 def test_discrete_actions_are_refused(policy):
     env = make_env("CartPole-v1", trials=2)
-    with pytest.raises(ValueError, match="needs a Bounded or Unbounded action spec, got Categ"):
+    with pytest.raises(ValueError, match=r"Bounded or Unbounded.*Categorical"):
         policy(env)
     env.close()
 
@@ -227,7 +227,7 @@ def test_the_actor_follows_from_what_is_written(pendulum):
         assert type(actor_of(kind(pendulum))) is GaussianActor
     cartpole.close()
     q = TensorDictModule(torch.nn.Linear(4, 2), ["observation"], ["action_value"])
-    with pytest.raises(ValueError, match="must write logits, or loc and scale; TensorDictModule w"):
+    with pytest.raises(ValueError, match=r"TensorDictModule.*action_value"):
         actor_of(q)
 
 

@@ -129,12 +129,12 @@ def test_output_gain_is_a_factor_of_the_last_layer():
 
 
 def test_what_does_not_exist():
-    with pytest.raises(ValueError, match=r"^init must be one of glorot_uniform, .*, got 'glorot'$"):
+    with pytest.raises(ValueError, match=r"^init.*glorot_uniform, .*'glorot'"):
         initial_weights([4, 2], 3, "glorot")
-    with pytest.raises(ValueError, match=r"^output_gain must be a number >= 0, got -1"):
+    with pytest.raises(ValueError, match=r"^output_gain.*>= 0.*-1"):
         initial_weights([4, 2], 3, output_gain=-1)
     for size in (0, -3, 2.5, True, "4"):
-        with pytest.raises(ValueError, match=r"^the size of a layer must be an integer >= 1, got"):
+        with pytest.raises(ValueError, match=f"layer.*>= 1.*{size}"):
             initial_weights([4, size, 2], 3)
-    with pytest.raises(ValueError, match=r"^the size of a layer must be an integer <= 100000, got"):
+    with pytest.raises(ValueError, match=r"layer.*<= 100000.*1000000"):
         initial_weights([4, 10**6, 2], 3)

@@ -72,7 +72,7 @@ def test_number_of_actions(env):
 @pytest.mark.parametrize(("id", "kind"), [("Pendulum-v1", "Bounded"), ("CartPole-v1", "OneHot")])
 def test_number_of_actions_of_another_spec(id, kind):
     other = GymEnv(id)
-    with pytest.raises(ValueError, match=f"needs a Categorical action spec, got {kind}"):
+    with pytest.raises(ValueError, match=f"Categorical.*{kind}"):
         n_actions(other)
     other.close()
 

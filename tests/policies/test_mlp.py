@@ -86,13 +86,13 @@ def test_a_trial_does_not_depend_on_its_neighbours(env):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"hidden": 32}, r"^hidden must be a list of sizes such as \[32, 32\], got 32$"),
-        ({"hidden": "32"}, r"^hidden must be a list of sizes"),
-        ({"hidden": [8, 0]}, r"^the size of a layer must be an integer >= 1, got 0$"),
-        ({"activation": "gelu"}, r"^activation must be tanh or relu, got 'gelu'$"),
-        ({"init": "zeros"}, r"^init 'zeros' leaves hidden layers without a gradient"),
-        ({"init": "ones"}, r"^init must be one of .*, got 'ones'$"),
-        ({"bias": "yes"}, r"^bias must be true or false, got 'yes'$"),
+        ({"hidden": 32}, r"^hidden.*\[32, 32\].*32$"),
+        ({"hidden": "32"}, "^hidden.*'32'"),
+        ({"hidden": [8, 0]}, "layer.*>= 1.*0$"),
+        ({"activation": "gelu"}, "^activation.*tanh.*relu.*'gelu'"),
+        ({"init": "zeros"}, "^init.*'zeros'.*gradient"),
+        ({"init": "ones"}, "^init.*'ones'"),
+        ({"bias": "yes"}, "^bias.*'yes'"),
     ],
 )
 def test_wrong_arguments(env, options, message):

@@ -25,7 +25,7 @@ def test_a_table_is_looked_up():
 
 
 def test_other_observations_are_refused():
-    with pytest.raises(ValueError, match=r"^a table needs Discrete observations, got Box\(\["):
+    with pytest.raises(ValueError, match=r"Discrete.*Box\(\["):
         TabularPolicy(make_env("CartPole-v1", trials=2))
 
 
@@ -43,7 +43,7 @@ def test_a_one_hot_of_ones_own_is_a_box():
     gym.register("OwnLake-v0", entry_point=Own, max_episode_steps=9)
     try:
         env = make_env("OwnLake-v0", trials=2)
-        with pytest.raises(ValueError, match=r"^a table needs Discrete observations, got Box"):
+        with pytest.raises(ValueError, match=r"Discrete.*Box"):
             TabularPolicy(env)
     finally:
         gym.registry.pop("OwnLake-v0")

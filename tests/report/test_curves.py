@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from trl_explore.report.curves import read_traces, running_means
+from trl_explore.report.curves import Curve, read_traces, running_means
 from trl_explore.report.evidence import gather
-from trl_explore.report.figures.curves import limits_of
-from trl_explore.report.figures.learning import Row
+from trl_explore.report.figures.panels import limits_of
 from trl_explore.report.groups import group_jobs
 from trl_explore.report.loading import load
-from trl_explore.report.style import OPTIONS
 
 
 def test_running_means_by_hand_leave_out_what_has_no_value():
@@ -60,14 +58,13 @@ def test_a_damaged_recording_is_a_gap_and_scores_are_still_drawn(tmp_path, make_
     evidence = gather(load([tmp_path]), resamples=99)
     (gap,) = evidence.gaps
     assert "exploratory leaves the range 0 to 1" in gap.why
-    assert len(evidence.groups[0].learning) == 2
+    assert len(evidence.groups[0].traces.learning) == 2
     assert evidence.groups[0].traces.diagnostics == {}
 
 
 def test_limits():
     def row(values):
-        x = np.arange(1.0, 1 + len(values))
-        return Row("", x, np.array(values), None, None, OPTIONS[0])
+        return Curve(np.arange(1.0, 1 + len(values)), np.array(values))
 
     assert limits_of([row([2.0, 10.0]), row([4.0, 20.0])]) == (0.0, 21.0)
     low, high = limits_of([row([1e-12, 10.0])], log=True)

@@ -12,9 +12,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from trl_explore.report import drawing
-from trl_explore.report.catalogue import KINDS, THESIS_NUMBERS, draw_all
 from trl_explore.report.evidence import GroupEvidence, gather
+from trl_explore.report.figures import KINDS, draw_all
+from trl_explore.report.figures.forest import oriented
+from trl_explore.report.figures.survival import draw_survival
 from trl_explore.report.loading import load
 from trl_explore.report.style import visual_language
 
@@ -103,13 +104,17 @@ def test_long_runs_have_room_for_their_numbers(tmp_path, make_job):
 def test_every_figure_of_the_thesis_is_drawn(made):
     # Seconds of the decay grid were not measured here.
     names = [path.stem for path in (made.out / "figures").glob("*.svg")]
-    for (experiment, kind), number in THESIS_NUMBERS.items():
-        name = f"{experiment}-{number.replace('.', '_')}-{kind}"
-        assert (name in names) == (number != "2.4")
+    numbers = []
+    for kind in KINDS:
+        for experiment, number in kind.thesis.items():
+            name = f"{experiment}-{number.replace('.', '_')}-{kind.name}"
+            assert (name in names) == (number != "2.4")
+            numbers.append(number)
+    assert sorted(numbers) == ["2.1", "2.2", "2.3", "2.4", "2.5", "3.1", "3.2", "3.3"]
 
 
 def test_captions_and_alternative_texts_carry_the_numbers(study):
-    figures = {figure.kind: figure for figure in draw_all(study[0])}
+    figures = {figure.kind.name: figure for figure in draw_all(study[0])}
     assert "random: 0 of 12" in figures["score"].caption
     assert "random: not reached" in figures["iterations"].caption
     assert all(figure.caption in figure.alt and len(figure.alt) > 60 for figure in figures.values())
@@ -117,7 +122,7 @@ def test_captions_and_alternative_texts_carry_the_numbers(study):
 
 def test_in_frames_failed_trials_stay_to_the_end_of_the_common_axis(study):
     with visual_language():
-        figure = drawing.draw_survival(study[0].group, "frames")
+        figure = draw_survival(study[0], "frames")
     random = next(c for c in study[0].group.configurations if c.strategy == "random")
     risk = [t.get_text() for t in figure.axes[1].texts]
     first = risk.index("random") + 1
@@ -126,7 +131,7 @@ def test_in_frames_failed_trials_stay_to_the_end_of_the_common_axis(study):
 
 def test_pairs_are_turned_so_that_the_first_is_the_faster(study):
     for comparison in study[0].comparisons:
-        first, second, difference = drawing.oriented(comparison)
+        first, second, difference = oriented(comparison)
         assert difference.value >= 0
         assert difference.low <= difference.high
         by_name = {c.name: c.durations.mean() for c in study[0].group.configurations}

@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 from trl_explore.config import CONF
+from trl_explore.names import EXPERIMENTS
 from trl_explore.report.build import build_report
 from trl_explore.report.groups import group_jobs
-from trl_explore.report.labels import EXPERIMENTS
 from trl_explore.report.loading import load
 
 NAMES = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
@@ -32,19 +32,20 @@ def runs(run_many, tmp_path_factory) -> Path:
 
 
 def smaller(name: str) -> list[str]:
-    """The sweep of an experiment with the first three values of everything that it varies."""
+    """The sweep of an experiment with the first values of all it varies, as few as a layout has."""
     if name == "thesis":  # a part of it has another title
         return []
     params = yaml.safe_load((CONF / "experiment" / f"{name}.yaml").read_text()).get("hydra", {})
     swept = params.get("sweeper", {}).get("params", {})
-    short = (f"{key}:'{','.join(str(v).split(',')[:3])}'" for key, v in swept.items())
+    few = 3 if LAYOUTS.get(name) == "plane" else 2
+    short = (f"{key}:'{','.join(str(v).split(',')[:few])}'" for key, v in swept.items())
     return [f"hydra.sweeper.params={{{','.join(short)}}}"] if swept else []
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_experiment_has_a_title_and_is_drawn(runs, tmp_path, name):
     (group,) = group_jobs(load([runs / name]).jobs)
-    assert group.title == EXPERIMENTS[name]
+    assert group.title == EXPERIMENTS[name].title
     layout = LAYOUTS.get(name)
     assert (group.crossed is not None) == (layout == "crossed")
     assert (group.plane is not None) == (layout == "plane")
@@ -52,7 +53,7 @@ def test_an_experiment_has_a_title_and_is_drawn(runs, tmp_path, name):
     assert not set(group.labels) & set(group.labels.values()) - {"softmax", "argmax", "random"}
     page, gaps = build_report([runs / name], tmp_path, resamples=49)
     assert not gaps
-    assert EXPERIMENTS[name] in page.read_text(encoding="utf-8")
+    assert EXPERIMENTS[name].title in page.read_text(encoding="utf-8")
     assert list((tmp_path / "figures").glob("*.svg"))
 
 

@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
+from trl_explore.report.curves import Curve
 from trl_explore.report.figures import effects, forest, learning, plane, power, survival, trials
-from trl_explore.report.figures.curves import plot_curves
 from trl_explore.report.figures.epsilon_decay import plot_epsilon
-from trl_explore.report.style import KNOWN, MAP, OPTIONS, PAPER, visual_language
+from trl_explore.report.figures.panels import plot_curves
+from trl_explore.report.style import KNOWN, MAP, OPTIONS, PAPER, contrast, visual_language
 from trl_explore.statistics.estimates import Estimate
 from trl_explore.statistics.power import detectable_difference
 from trl_explore.statistics.survival import kaplan_meier
@@ -153,9 +154,9 @@ def test_numbers_at_risk_are_those_counted_by_hand(ax):
 
 def test_learning_draws_mean_band_threshold_and_the_others(ax):
     x = np.array([1.0, 2.0, 3.0])
-    mine = learning.Row("softmax", x, np.array([10.0, 20.0, 30.0]), x, x + 40, SOFTMAX)
-    other = learning.Row("random", x, np.array([9.0, 9.0, 9.0]), None, None, RANDOM)
-    learning.plot_learning(ax, mine, others=[other], threshold=195.0)
+    mine, other = Curve(x, np.array([10.0, 20.0, 30.0]), x, x + 40), Curve(x, np.full(3, 9.0))
+    learning.plot_learning(ax, mine, SOFTMAX, title="softmax", others=[(other, RANDOM)],
+                           threshold=195.0)  # fmt: skip
     drawn = [tuple(np.asarray(line.get_ydata(), dtype=float)) for line in ax.lines]
     assert drawn == [(9, 9, 9), (10, 20, 30), (195, 195)]
     assert len(ax.collections) == 1
@@ -167,7 +168,7 @@ def test_forest_fills_only_what_is_told_apart(ax):
         forest.Row("softmax", "random", Estimate(852.0, 830.0, 870.0, 0.95), True, SOFTMAX),
         forest.Row("softmax", "argmax", Estimate(10.0, -5.0, 25.0, 0.95), False, SOFTMAX),
     ]
-    forest.plot_forest(ax, rows, unit="iterations")
+    forest.plot_forest(ax, rows)
     marked = {line.get_label(): line for line in ax.lines}
     assert marked["told apart"].get_markerfacecolor() == SOFTMAX.color
     assert marked["open"].get_markerfacecolor() == PAPER
@@ -207,8 +208,6 @@ def test_a_map_states_every_value_in_an_ink_that_stands_out(ax):
     from matplotlib.colors import to_hex
     from matplotlib.patches import Rectangle
 
-    from trl_explore.report.theme import contrast
-
     squares = [p for p in ax.patches if isinstance(p, Rectangle)]
     assert [to_hex(p.get_facecolor()) for p in squares[:3]] == [MAP[0], MAP[10], MAP[20]]
     assert len(squares) == 4  # three cells and a frame
@@ -219,8 +218,6 @@ def test_a_map_states_every_value_in_an_ink_that_stands_out(ax):
 
 
 def test_every_cell_of_a_map_can_be_read():
-    from trl_explore.report.theme import contrast
-
     # Between black and white no grey gives more than 4.58 to both.
     assert all(contrast(color, plane.ink_on(color)) >= 4.4 for color in MAP)
 
@@ -242,7 +239,7 @@ def test_effects_stand_block_by_block(ax):
 
 def test_curves_have_bands_where_they_are_few(ax):
     x = np.array([1.0, 2.0, 3.0])
-    rows = [learning.Row(str(k), x, x, x - 1, x + 1, OPTIONS[k]) for k in range(3)]
+    rows = [(Curve(x, x, x - 1, x + 1), OPTIONS[k]) for k in range(3)]
     plot_curves(ax, rows, title="ε-greedy", line=2.5)
     assert len(ax.collections) == 3
     assert ax.get_ylim() == (0.0, pytest.approx(4.2))
@@ -252,6 +249,6 @@ def test_curves_have_bands_where_they_are_few(ax):
 def test_panels_of_survival_end_together(ax):
     durations = np.array([100.0, 200.0])
     rows = [survival.Row("x", kaplan_meier(durations, [True, True]), durations, SOFTMAX)]
-    survival.plot_survival_panel(ax, rows, title="softmax", horizon=1000.0)
+    survival.plot_survival(ax, rows, time="", title="softmax", horizon=1000.0)
     assert ax.get_xlim() == (0.0, pytest.approx(1020.0))
     assert ax.lines[0].get_xdata()[-1] == 1000.0

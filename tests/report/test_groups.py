@@ -1,11 +1,11 @@
 import numpy as np
 
 from trl_explore.report.build import build_report
-from trl_explore.report.curves import running_scores
+from trl_explore.report.curves import running_means
 from trl_explore.report.evidence import gather
 from trl_explore.report.groups import group_jobs
 from trl_explore.report.loading import load
-from trl_explore.report.prose import group_facts
+from trl_explore.report.page import group_facts
 
 
 def test_different_caps_stand_in_one_report_but_are_not_compared(tmp_path, make_job):
@@ -81,12 +81,9 @@ def test_a_diverged_trial_is_counted_and_named(tmp_path, make_job):
 
 
 def test_running_scores_by_hand():
-    import pandas as pd
-
-    episodes = pd.DataFrame(
-        {"trial": [0, 0, 0, 1], "iteration": [1, 2, 3, 1], "score": [10.0, 20.0, 40.0, 7.0]}
-    )
-    table = running_scores(episodes, 2, np.array([1, 2, 3, 5]))
+    trial, iteration = np.array([0, 0, 0, 1]), np.array([1, 2, 3, 1])
+    scores = np.array([10.0, 20.0, 40.0, 7.0])
+    table = running_means(trial, iteration, scores, 2, np.array([1, 2, 3, 5]))
     # Trial 0: means of the last two; trial 1 stopped after one episode and keeps its score.
     assert table.T.tolist() == [[10.0, 15.0, 30.0, 30.0], [7.0, 7.0, 7.0, 7.0]]
 

@@ -1,4 +1,4 @@
-from trl_explore.report.labels import configuration_labels, natural_order, readable, swept_parameter
+from trl_explore.report.labels import configuration_labels, natural_order, swept_parameter
 
 
 def test_strategies_are_called_by_their_names(make):
@@ -20,12 +20,6 @@ def test_labels_that_would_be_equal_are_replaced_by_names(make):
     assert configuration_labels(jobs) == {"one": "one", "two": "two"}
 
 
-def test_evidence_reads_with_signs_and_names():
-    text = "decaying_epsilon_greedy minus epsilon_greedy -282.5 iterations, p = 1e-04 (4-5)"
-    expected = "decaying ε-greedy minus ε-greedy −282.5 iterations, p = 1e-04 (4-5)"
-    assert readable(text) == expected
-
-
 def test_schedules_are_named_with_their_parameter(make):
     def job(**schedule):
         target = f"trl_explore.strategies.schedules.{schedule.pop('kind', 'Linear')}"
@@ -39,17 +33,3 @@ def test_schedules_are_named_with_their_parameter(make):
     jobs = [job(kind="Linear", initial=2.0), job(kind="Cosine", initial=2.0, final=1.0)]
     labels = list(configuration_labels(jobs).values())
     assert [label.split(",")[0] for label in labels] == ["T = Linear", "T = Cosine"]
-
-
-def test_every_strategy_of_the_configuration_has_a_label_and_a_look():
-    from trl_explore.config import CONF
-    from trl_explore.report import prose
-    from trl_explore.report.labels import STRATEGIES, strategy_label
-    from trl_explore.report.style import KNOWN, styles
-
-    names = sorted(path.stem for path in (CONF / "strategy").glob("*.yaml"))
-    assert set(KNOWN) <= set(names)
-    assert set(STRATEGIES) == set(prose.STRATEGIES) == set(names)
-    assert len({strategy_label(name) for name in names}) == len(names)
-    looks = styles(names)
-    assert len({(look.marker, look.line) for look in looks}) == len(names)

@@ -4,8 +4,13 @@ import re
 from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
 
 from trl_explore.report.build import build_report
+from trl_explore.report.page import episodes_per_iteration
 from trl_explore.thesis import CLAIMS
 
 EVIL = '<script>alert("x")</script>'
@@ -92,7 +97,7 @@ def test_the_parts_come_in_the_order_of_a_reader_who_opens_it_cold(made):
 
 
 def test_every_statement_of_the_thesis_is_shown_with_its_definition(made):
-    text = made.html.replace("&#x27;", "'").replace("&gt;", ">").replace("&lt;", "<")
+    text = made.html.replace("&#39;", "'").replace("&gt;", ">").replace("&lt;", "<")
     for claim in CLAIMS:
         assert claim.statement.split("  ")[0] in text
         assert claim.place in text
@@ -164,3 +169,30 @@ def test_experiments_that_are_missing_are_not_measured(tmp_path, make_job):
     html = page.read_text(encoding="utf-8")
     assert f"{len(CLAIMS)} not measured" in html
     assert "Left out: seconds of single trials" in html
+
+
+@pytest.mark.parametrize(
+    ("per_update", "words"),
+    [
+        ([{}], "one episode"),
+        ([{"episodes_per_update": 4}, {"episodes_per_update": 4}], "4 episodes"),
+        ([{"episodes_per_update": 4}, {}], "one episode or 4 episodes"),
+    ],
+)
+def test_an_iteration_is_as_many_episodes_as_were_run(per_update, words):
+    outcomes: list[Any] = [SimpleNamespace(config=config) for config in per_update]
+    assert episodes_per_iteration(outcomes) == words
+
+
+def test_the_page_says_what_an_iteration_is(made):
+    assert "One <b>iteration</b> is one episode and the update that follows." in made.html
+
+
+def test_no_key_of_the_program_stands_in_a_sentence(made):
+    """Keys stand in commands and in the names of folders; sentences use the words for readers."""
+    html = re.sub(r"<(style|script|svg|pre|code)\b.*?</\1>", "", made.html, flags=re.S)
+    for place in ("answer", "claims-section"):
+        start = html.index(f'id="{place}"')
+        text = re.sub("<[^>]*>", "", html[start : html.index("</section>", start)])
+        assert "ε-greedy" in text
+        assert not re.search(r"epsilon_greedy|decaying_|\bNoCorrection\b", text)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 import json
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 from omegaconf import OmegaConf
 
+from trl_explore.commands import time
 from trl_explore.config import job_name, register_resolvers
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.reading import find_folders, find_jobs
@@ -95,18 +94,6 @@ def test_the_only_resolvers_are_two_names():
         assert bool(registered) == (path.name == "naming.py")
 
 
-@pytest.fixture(scope="module")
-def time_trials():
-    spec = importlib.util.spec_from_file_location("time_trials", ROOT / "scripts/time_trials.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["time_trials"] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules["time_trials"]
-
-
 @pytest.mark.parametrize(
     ("target", "known"),
     [
@@ -128,8 +115,8 @@ def time_trials():
         ("", False),
     ],
 )
-def test_a_recorded_configuration_constructs_what_conf_does(time_trials, target, known):
-    assert time_trials._is_known(target) == known
+def test_a_recorded_configuration_constructs_what_conf_does(target, known):
+    assert time._is_known(target) == known
 
 
 # The report
@@ -162,17 +149,6 @@ class Page(HTMLParser):
 def spoil(job: Path, **record) -> None:
     run = json.loads((job / "run.json").read_text())
     (job / "run.json").write_text(json.dumps({**run, **record}))
-
-
-@pytest.fixture
-def make_job(request):
-    path = ROOT / "tests" / "report" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("report_conftest", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.write_job
 
 
 @pytest.fixture

@@ -1,7 +1,14 @@
 from itertools import combinations
 
-from trl_explore.report.style import FURTHER, KNOWN, PAPER, styles
-from trl_explore.report.theme import DARK_PAPER, contrast, dark_variant
+from trl_explore.report.style import (
+    DARK_PAPER,
+    FURTHER,
+    KNOWN,
+    PAPER,
+    contrast,
+    dark_variant,
+    styles,
+)
 
 
 def test_a_strategy_looks_the_same_beside_whatever_others():

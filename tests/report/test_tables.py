@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from trl_explore.report.page import environment
 from trl_explore.report.tables import Column, Table
 
 TABLE = Table(
@@ -45,7 +46,7 @@ def test_csv_has_everything_in_full():
 
 
 def test_html_is_escaped_and_carries_the_value():
-    html = TABLE.to_html()
+    html = str(environment().get_template("parts.html").module.table(TABLE))  # type: ignore[attr-defined]
     assert "<b>" not in html
     assert 'data-value="1.26" data-label="value">1.3</td>' in html
     assert "<caption>A &amp; B</caption>" in html

@@ -1,6 +1,11 @@
 import math
 
-from trl_explore.statistics.estimates import Estimate
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from trl_explore.statistics.estimates import Estimate, pass_rate
 
 
 def test_questions_about_an_interval():
@@ -20,3 +25,49 @@ def test_questions_about_an_interval():
 def test_unknown_interval_answers_no():
     e = Estimate(2.0, math.nan, math.nan)
     assert [e.above(0), e.below(9), e.inside(-9, 9), e.outside(5, 6)] == [False] * 4
+
+
+def test_wilson_by_hand():
+    # p̂ = 1/2, n = 10, z² = 3.8415: centre 0.5, half width √(z²/40 + z⁴/400) / (1 + z²/10)
+    e = pass_rate(5, 10)
+    assert (e.value, e.level) == (0.5, 0.95)
+    assert e.low == pytest.approx(0.2366, abs=1e-4)
+    assert e.high == pytest.approx(0.7634, abs=1e-4)
+
+
+@pytest.mark.parametrize(("k", "n"), [(0, 1), (1, 1), (0, 30), (30, 30), (13, 30), (446, 1000)])
+@pytest.mark.parametrize("level", [0.8, 0.95, 0.99])
+def test_agrees_with_scipy(k, n, level):
+    e = pass_rate(k, n, level=level)
+    ci = stats.binomtest(k, n).proportion_ci(level, method="wilson")
+    assert (e.low, e.high) == pytest.approx((ci.low, ci.high), abs=1e-12)
+
+
+def test_bounds_are_exact_at_the_ends():
+    assert pass_rate(0, 7).low == 0.0
+    assert pass_rate(7, 7).high == 1.0
+
+
+@settings(deadline=None)
+@given(st.integers(1, 500), st.data())
+def test_interval_contains_the_estimate_and_mirrors(n, data):
+    k = data.draw(st.integers(0, n))
+    e, mirrored = pass_rate(k, n), pass_rate(n - k, n)
+    assert 0.0 <= e.low <= e.value <= e.high <= 1.0
+    assert e.low < e.high
+    assert mirrored.low == pytest.approx(1 - e.high, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("k", "n", "level", "message"),
+    [
+        (0, 0, 0.95, "trials=0"),
+        (-1, 3, 0.95, "successes=-1"),
+        (4, 3, 0.95, "successes=4"),
+        (1, 3, 1.0, "level=1.0"),
+        (1, 3, 0.0, "level=0.0"),
+    ],
+)
+def test_refuses(k, n, level, message):
+    with pytest.raises(ValueError, match=message):
+        pass_rate(k, n, level=level)

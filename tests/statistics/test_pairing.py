@@ -49,7 +49,7 @@ def test_pairs_follow_the_keys_and_not_the_order(make):
 
 def test_a_trial_twice_in_one_job_is_refused(make):
     twice = select(make([1, 2]), np.array([0, 1, 1]))
-    with pytest.raises(ValueError, match="seed 0, trial 1 occurs twice"):
+    with pytest.raises(ValueError, match=r"seed 0, trial 1.*twice"):
         trial_keys(twice)
 
 
@@ -58,7 +58,7 @@ def test_thesis_and_grid_share_trials(thesis, grid):
     assert shared.first == ("thesis", "epsilon_greedy")
     assert shared.second == ("epsilon_grid", "epsilon=0.3")
     assert shared.count == 2
-    with pytest.raises(ValueError, match=r"epsilon_grid/epsilon=0\.3 share 2 trials"):
+    with pytest.raises(ValueError, match=r"epsilon_grid/epsilon=0\.3.* 2 trials"):
         refuse_shared([thesis, grid])
 
 
@@ -117,9 +117,9 @@ def test_pool_of_two_seeds(make):
 def test_pool_refuses(make, thesis, grid):
     with pytest.raises(ValueError, match="0 jobs"):
         pool([])
-    with pytest.raises(ValueError, match="different configurations"):
+    with pytest.raises(ValueError, match="configurations"):
         pool([make([1]), make([1], seed=1, parameters={"temperature": 2})])
-    with pytest.raises(ValueError, match="share 2 trials"):
+    with pytest.raises(ValueError, match=" 2 trials"):
         pool([thesis, grid])
     with pytest.raises(ValueError, match="cap 1000"):
         pool([make([1]), make([1], seed=1, cap=50)])
@@ -128,12 +128,12 @@ def test_pool_refuses(make, thesis, grid):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"cap": 5000}, "b has 5000"),
-        ({"threshold": 475.0}, "threshold 195, b has 475"),
-        ({"window": 10}, "window 100, b has 10"),
+        ({"cap": 5000}, "cap.*5000"),
+        ({"threshold": 475.0}, "threshold 195.*475"),
+        ({"window": 10}, "window 100.*10"),
         (
             {"config": {"stop_on": "evaluation", "evaluate_every": 5}},
-            "stopping scores training, b has evaluation .1 every 5 iterations.",
+            "training.*evaluation.*1.*5 iterations",
         ),
     ],
 )
@@ -178,7 +178,7 @@ def test_evaluations_of_other_frequency_are_another_rule(make):
 
     check_comparable(judged(5, 2), judged(5, 2))
     for other in (judged(10, 2), judged(5, 1)):
-        with pytest.raises(ValueError, match="stopping scores evaluation"):
+        with pytest.raises(ValueError, match="evaluation"):
             check_comparable(judged(5, 2), other)
     unused = make([300], config={"stop_on": "training", "evaluate_every": 5})
     check_comparable(unused, make([300]))

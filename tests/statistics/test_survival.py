@@ -5,14 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
-from statsmodels.duration.survfunc import SurvfuncRight
+from statsmodels.duration.survfunc import SurvfuncRight, survdiff
 
+from trl_explore.statistics.estimates import pass_rate
 from trl_explore.statistics.survival import (
-    convergence_times,
     expected_running_time,
     kaplan_meier,
+    logrank_test,
     median_time,
     number_at_risk,
+    probability_faster,
     restricted_mean,
 )
 
@@ -20,7 +22,8 @@ from trl_explore.statistics.survival import (
 WEEKS = [6, 6, 6, 6, 7, 9, 10, 10, 11, 13, 16, 17, 19, 20, 22, 23, 25, 32, 32, 34, 35]
 EVENT = [1, 1, 1, 0, 1, 0, 1, 0, 0, 1, 1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0]
 
-trials = st.lists(st.tuples(st.integers(1, 30), st.booleans()), min_size=1, max_size=40)
+many = st.lists(st.tuples(st.integers(1, 30), st.booleans()), min_size=1, max_size=40)
+few = st.lists(st.tuples(st.integers(1, 12), st.booleans()), min_size=1, max_size=12)
 
 
 def test_curve_of_the_textbook():
@@ -94,7 +97,7 @@ def test_one_trial_and_ties():
 
 
 @settings(deadline=None)
-@given(trials)
+@given(many)
 def test_curve_is_a_survival_curve(data):
     t, e = np.array([d[0] for d in data]), np.array([d[1] for d in data])
     curve = kaplan_meier(t, e)
@@ -234,34 +237,76 @@ def test_expected_running_time_without_success(rng):
     assert np.isnan(one.low)
 
 
-def test_times_of_a_diverged_trial(make):
-    o = make([100, 1000, 37], converged=[1, 0, 0], diverged=[2])
-    t, e = convergence_times(o)
-    assert t.tolist() == [100, 1000, 1000]
-    assert e.tolist() == [True, False, False]
+def split(data):
+    return np.array([d[0] for d in data]), np.array([d[1] for d in data])
 
 
-def test_frames_keep_failed_trials_at_risk(make):
-    # The second trial fails after few frames: censored there, the curve would reach 0.
-    o = make([100, 1000, 200], frames=[9000, 8000, 18000])
-    t, e = convergence_times(o, "frames")
-    assert t.tolist() == [9000, 18000, 18000]
-    assert kaplan_meier(t, e).survival[-1] == pytest.approx(1 / 3)
+def test_logrank_agrees_with_statsmodels(rng):
+    t_a, t_b = rng.integers(1, 40, size=35), rng.integers(5, 60, size=50)
+    e_a, e_b = rng.random(35) < 0.7, rng.random(50) < 0.9
+    group = np.repeat([0, 1], [35, 50])
+    _, expected = survdiff(np.concatenate([t_a, t_b]), np.concatenate([e_a, e_b]), group)
+    assert logrank_test(t_a, e_a, t_b, e_b) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("t_a", "e_a", "t_b", "e_b"),
     [
-        ({"durations": [100, 500], "converged": [1, 0]}, "trial 1 stopped unconverged after 500"),
-        ({"durations": [100, 1001], "converged": [1, 1]}, "trial 1 converged after 1001"),
-        ({"durations": []}, "without trials"),
+        ([10, 10], [0, 0], [10, 10], [0, 0]),
+        ([5, 5], [1, 1], [5, 5], [1, 1]),
+        ([10], [0], [10], [0]),
     ],
 )
-def test_unfinished_jobs_are_refused(make, options, message):
-    with pytest.raises(ValueError, match=message):
-        convergence_times(make(**options))
+def test_logrank_without_information_is_one(t_a, e_a, t_b, e_b):
+    assert logrank_test(t_a, e_a, t_b, e_b) == 1.0
 
 
-def test_unit_is_checked(make):
-    with pytest.raises(ValueError, match="'seconds'"):
-        convergence_times(make([1]), "seconds")
+@settings(deadline=None)
+@given(few, few)
+def test_logrank_is_always_a_p_value(a, b):
+    p = logrank_test(*split(a), *split(b))
+    assert 0.0 <= p <= 1.0
+    assert p == pytest.approx(logrank_test(*split(b), *split(a)))
+
+
+def test_faster_by_hand():
+    # Faster, tie, slower, tie (both censored), faster (the other is censored).
+    e = probability_faster(
+        [1, 5, 9, 10, 10], [1, 1, 1, 0, 1], [2, 5, 3, 10, 10], [1, 1, 1, 0, 0], paired=True
+    )
+    assert e.value == pytest.approx((1 + 0.5 + 0 + 0.5 + 1) / 5)
+    expected = pass_rate(3, 5)
+    assert (e.low, e.high) == (expected.low, expected.high)
+
+
+def test_converging_at_the_cap_beats_not_converging():
+    assert probability_faster([10], [1], [10], [0], paired=True).value == 1.0
+    assert probability_faster([10], [1], [10], [0], paired=False).value == 1.0
+
+
+def test_unpaired_is_mann_whitney(rng):
+    a, b = rng.integers(1, 30, size=20), rng.integers(5, 40, size=33)
+    e = probability_faster(a, np.ones(20), b, np.ones(33), paired=False)
+    u = stats.mannwhitneyu(b, a).statistic
+    assert e.value == pytest.approx(u / (20 * 33))
+    # Wilson's width shrinks with the smaller of both samples.
+    expected = pass_rate(e.value * 20, 20)
+    assert (e.low, e.high) == (expected.low, expected.high)
+
+
+@settings(deadline=None)
+@given(few, few, st.booleans())
+def test_both_probabilities_sum_to_one(a, b, paired):
+    n = min(len(a), len(b)) if paired else None
+    x, y = split(a[:n]), split(b[:n])
+    p, q = probability_faster(*x, *y, paired=paired), probability_faster(*y, *x, paired=paired)
+    assert p.value + q.value == pytest.approx(1.0)
+    assert p.low == pytest.approx(1.0 - q.high, abs=1e-9)
+    assert 0.0 <= p.low <= p.value <= p.high <= 1.0
+
+
+def test_refuses():
+    with pytest.raises(ValueError, match="1 and 2 trials"):
+        probability_faster([1], [1], [1, 2], [1, 1], paired=True)
+    with pytest.raises(ValueError, match="0 and 1 trials"):
+        probability_faster([], [], [1], [1], paired=False)

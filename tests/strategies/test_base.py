@@ -164,14 +164,14 @@ def test_keys_can_be_renamed():
     data = TensorDict({"agents": {"value": torch.zeros(3, 4)}, "noise": torch.full((3,), 0.3)}, [3])
     assert strategy(data)["agents", "move"].tolist() == [2, 2, 2]
     data["legal"] = torch.zeros(3, 4, dtype=torch.bool)
-    with pytest.raises(ValueError, match="the action mask forbids every action of a state"):
+    with pytest.raises(ValueError, match="action mask"):
         strategy(data)
 
 
 def test_one_state_without_a_legal_action_is_an_error():
     mask = torch.ones(3, 4, dtype=torch.bool)
     mask[1] = False
-    with pytest.raises(ValueError, match="the action mask forbids every action of a state"):
+    with pytest.raises(ValueError, match="action mask"):
         Fixed()(frames(3, action_mask=mask))
 
 
@@ -254,5 +254,5 @@ def test_actions_are_one_hot(dtype, wrap):
     ids=lambda spec: type(spec).__name__,
 )
 def test_specs_that_cannot_be_served(spec):
-    with pytest.raises(ValueError, match="a strategy serves Categorical and OneHot action specs"):
+    with pytest.raises(ValueError, match=r"Categorical.*OneHot"):
         Fixed(spec=spec)

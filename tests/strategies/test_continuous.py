@@ -175,7 +175,7 @@ def test_without_a_density_none_is_written(cls):
     assert not strategy.exact
     assert strategy.out_keys == ["action"]
     assert "action_log_prob" not in strategy(frames(5))
-    with pytest.raises(ValueError, match=f"the actions of {cls.__name__} have no density"):
+    with pytest.raises(ValueError, match=f"{cls.__name__}.*density"):
         strategy.log_prob(LOC, LOC, SCALE)
 
 
@@ -307,12 +307,12 @@ def test_specs_give_box_and_size(name):
 @everyone
 def test_without_a_box(name):
     if name in BOXED:
-        with pytest.raises(ValueError, match="draws from the box of the actions: give it"):
+        with pytest.raises(ValueError, match=r"box.*spec"):
             build(name, spec=None)(frames(3))
-        with pytest.raises(ValueError, match="which must be finite, got"):
+        with pytest.raises(ValueError, match=r"box.*finite"):
             build(name, spec=Unbounded(2))
         half = Bounded(torch.tensor([0.0, 0.0]), torch.tensor([1.0, torch.inf]))
-        with pytest.raises(ValueError, match="which must be finite, got"):
+        with pytest.raises(ValueError, match=r"box.*finite"):
             build(name, spec=half)
     else:
         for spec in (None, Unbounded(2)):
@@ -327,17 +327,17 @@ def test_without_a_box(name):
 )
 def test_discrete_specs_are_refused(name, spec):
     cls = type(build(name)).__name__
-    with pytest.raises(ValueError, match=f"{cls} draws continuous actions, but those of the"):
+    with pytest.raises(ValueError, match=f"{cls}.*continuous actions"):
         build(name, spec=spec)
 
 
 def test_a_discrete_strategy_refuses_a_box():
-    with pytest.raises(ValueError, match="Softmax draws discrete actions, but those of the env"):
+    with pytest.raises(ValueError, match=r"Softmax.*discrete actions"):
         Softmax().serve(BOX)
 
 
 def test_a_policy_of_other_dimensions_is_refused():
-    with pytest.raises(ValueError, match="loc has 2 dimensions, but the actions have 3"):
+    with pytest.raises(ValueError, match=r"loc.*2.*3"):
         Gaussian(spec=Unbounded(3))(frames(2))
 
 
@@ -403,9 +403,9 @@ def test_parameters_per_trial(name, key):
         alone = build(name, **{key: own})(frames(10, noise=noise[mine]))
         for entry in strategy.out_keys:
             assert torch.equal(data[entry][mine], alone[entry])
-    with pytest.raises(ValueError, match="a parameter has 3 values, but there are 4 trials"):
+    with pytest.raises(ValueError, match=r"3 values.*4 trials"):
         strategy.bind(TensorDictModuleBase(), 4)
-    with pytest.raises(ValueError, match="the data need a 'trial' entry"):
+    with pytest.raises(ValueError, match="'trial'"):
         strategy(frames(30))
 
 
@@ -413,7 +413,7 @@ def test_parameters_per_trial(name, key):
 @everyone
 def test_numbers_that_make_no_sense_are_refused(name, bad):
     for key in set(FILES[name]) - {"_target_"}:
-        with pytest.raises(ValueError, match=f"{key} must be"):
+        with pytest.raises(ValueError, match=rf"{key}\b"):
             build(name, **{key: bad})
 
 

@@ -103,5 +103,5 @@ def test_beta_per_trial_and_by_schedule():
     strategy.bind(POLICY, 2)
     strategy.step()
     assert bonus(strategy) == [[2.0, 2.0]] * 3
-    with pytest.raises(ValueError, match="there are 3 trials"):
+    with pytest.raises(ValueError, match="3 trials"):
         CountBonus(beta=[1.0, 3.0]).bind(POLICY, 3)

@@ -76,5 +76,5 @@ def test_exploitation_draws_no_durations():
     [({"epsilon": 1.1}, "epsilon"), ({"mu": 1.0}, "mu"), ({"max_duration": 0}, "max_duration")],
 )
 def test_z_greedy_refuses(options, name):
-    with pytest.raises(ValueError, match=f"^{name} must be"):
+    with pytest.raises(ValueError, match=rf"^{name}\b"):
         EpsilonZGreedy(**options)

@@ -132,13 +132,13 @@ def test_weights_per_trial():
     strategy = FullMixture(greedy=[1.0, 0.0], softmax=0.0, uniform=[1.0, 4.0])
     probs = strategy.probs(torch.tensor([[0.0, 1.0]] * 2), torch.tensor([1, 0]))
     close(probs, [[0.5, 0.5], [0.25, 0.75]])
-    with pytest.raises(ValueError, match=r"the weights have \[2, 3\] values for trials"):
+    with pytest.raises(ValueError, match=r"weights.*\[2, 3\]"):
         FullMixture(greedy=[1.0, 0.0], softmax=0.0, uniform=[1.0, 4.0, 1.0])
 
 
 @pytest.mark.parametrize("weights", [(0, 0, 0), ([1.0, 0.0], 0, 0)])
 def test_weights_that_are_all_zero(weights):
-    with pytest.raises(ValueError, match=r"greedy \+ softmax \+ uniform must be a positive number"):
+    with pytest.raises(ValueError, match=r"greedy \+ softmax \+ uniform.*positive"):
         FullMixture(*weights)
 
 
@@ -147,14 +147,14 @@ def test_weights_that_become_zero():
     strategy.step()
     assert strategy.mixture().softmax == 1
     strategy.step()
-    with pytest.raises(ValueError, match=r"got 0\.0 in iteration 2"):
+    with pytest.raises(ValueError, match=r"0\.0.*iteration 2"):
         strategy.mixture()
 
 
 @pytest.mark.parametrize("name", ["greedy", "softmax", "uniform"])
 def test_weights_out_of_range(name):
     for value in (-0.1, math.nan, Linear(1.0, -0.1, 5)):
-        with pytest.raises(ValueError, match=f"^{name} must be a number >= 0"):
+        with pytest.raises(ValueError, match=f"^{name}.*>= 0"):
             FullMixture(**{name: value})
 
 
@@ -328,7 +328,7 @@ def test_temperature_per_trial_as_a_schedule():
 
 
 def test_values_per_trial_need_the_trial():
-    with pytest.raises(ValueError, match="the data need a 'trial' entry"):
+    with pytest.raises(ValueError, match="'trial'"):
         EpsilonGreedy([0.1, 0.2]).probs(PREFERENCES)
 
 
@@ -336,10 +336,10 @@ def test_values_per_trial_have_to_be_one_for_each():
     strategy = EpsilonGreedy([0.1, 0.2])
     strategy.bind(TensorDictModuleBase(), 2)
     for trials in (1, 3):
-        with pytest.raises(ValueError, match=rf"has 2\b.* there are {trials} trials"):
+        with pytest.raises(ValueError, match=rf"2 values.*{trials} trials"):
             strategy.bind(TensorDictModuleBase(), trials)
     EpsilonGreedy(0.1).bind(TensorDictModuleBase(), 7)
-    with pytest.raises(ValueError, match=r"has 1\b.* there are 2 trials"):
+    with pytest.raises(ValueError, match=r"1 values.*2 trials"):
         Softmax([1.0]).bind(TensorDictModuleBase(), 2)
 
 
@@ -348,19 +348,19 @@ def test_values_per_trial_have_to_be_one_for_each():
 
 @pytest.mark.parametrize("epsilon", [-0.1, 1.1, math.nan, "0.3", [0.1, 1.1], Linear(0, 2, 9)])
 def test_epsilon_out_of_range(epsilon):
-    with pytest.raises(ValueError, match=r"epsilon must be a number in \[0, 1\]"):
+    with pytest.raises(ValueError, match=r"epsilon.*\[0, 1\]"):
         EpsilonGreedy(epsilon)
 
 
 @pytest.mark.parametrize("decay", [-0.1, 1.1, math.nan, "fast"])
 def test_decay_out_of_range(decay):
-    with pytest.raises(ValueError, match=r"decay must be a number in \[0, 1\]"):
+    with pytest.raises(ValueError, match=r"decay.*\[0, 1\]"):
         DecayingEpsilonGreedy(decay)
 
 
 @pytest.mark.parametrize("temperature", [0, -1.0, math.nan, math.inf, [1.0, 0.0]])
 def test_temperature_out_of_range(temperature):
-    with pytest.raises(ValueError, match="temperature must be a number > 0"):
+    with pytest.raises(ValueError, match=r"temperature.*> 0"):
         Softmax(temperature)
 
 
@@ -378,9 +378,9 @@ class Stated(MixtureStrategy):
 @pytest.mark.parametrize(
     ("point", "message"),
     [
-        (Mixture(softmax=1.0, temperature=np.ones(2)), "temperature has 2 values, but there are 5"),
-        (Mixture(softmax=0.5, uniform=0.1), "must be >= 0 and sum to 1, got 0.0, 0.5 and 0.1"),
-        (Mixture(softmax=1.5, uniform=-0.5), "must be >= 0 and sum to 1"),
+        (Mixture(softmax=1.0, temperature=np.ones(2)), "temperature.*2.*5"),
+        (Mixture(softmax=0.5, uniform=0.1), "sum to 1.*0.0.*0.5.*0.1"),
+        (Mixture(softmax=1.5, uniform=-0.5), ">= 0.*sum to 1.*1.5.*-0.5"),
         (Mixture(greedy=np.full(5, 0.5), uniform=np.linspace(0.5, 0.6, 5)), "sum to 1"),
         (Mixture(softmax=math.nan), "sum to 1"),
     ],

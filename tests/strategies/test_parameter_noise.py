@@ -95,7 +95,7 @@ def test_any_parameters_of_a_single_policy_are_perturbed():
     changed = strategy.preferences(data, data["logits"])
     assert not torch.isclose(changed, data["logits"]).any()
     assert all(torch.equal(a, b) for a, b in zip(before, policy.parameters(), strict=True))
-    with pytest.raises(ValueError, match=r"must be the 2 trials, but module.0.weight is \[5, 3\]"):
+    with pytest.raises(ValueError, match=r"2 trials.*module\.0\.weight.*\[5, 3\]"):
         strategy.bind(policy, 2)
 
 
@@ -119,7 +119,7 @@ def test_first_frames_that_are_marked_begin_an_episode():
 
 def test_noise_on_a_policy_that_is_not_known_is_an_error():
     data = TensorDict({"logits": torch.zeros(2)})
-    with pytest.raises(ValueError, match=r"call bind\(policy, trials\) first"):
+    with pytest.raises(ValueError, match=r"bind\(policy, trials\)"):
         ParameterNoise()(data)
 
 
@@ -133,5 +133,5 @@ def test_noise_on_a_policy_that_is_not_known_is_an_error():
     ],
 )
 def test_parameter_noise_refuses(options, name):
-    with pytest.raises(ValueError, match=f"^{name} must be"):
+    with pytest.raises(ValueError, match=rf"^{name}\b"):
         ParameterNoise(**options)

@@ -41,7 +41,7 @@ def test_constant_per_trial():
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, "0.3", None, [0.1, math.nan], []])
 def test_constant_refuses(value):
-    with pytest.raises(ValueError, match="value must be a number"):
+    with pytest.raises(ValueError, match=r"^value.*number"):
         Constant(value)
 
 
@@ -64,7 +64,7 @@ def test_linear_by_hand():
     ],
 )
 def test_linear_refuses(arguments, name):
-    with pytest.raises(ValueError, match=f"^{name} must be"):
+    with pytest.raises(ValueError, match=rf"^{name}\b"):
         Linear(*arguments)
 
 
@@ -92,7 +92,7 @@ def test_exponential_at_the_ends_of_decay():
 
 @pytest.mark.parametrize("decay", [-0.1, 1.01, math.nan])
 def test_exponential_refuses(decay):
-    with pytest.raises(ValueError, match=r"decay must be a number in \[0, 1\]"):
+    with pytest.raises(ValueError, match=r"decay.*\[0, 1\]"):
         Exponential(1.0, decay)
 
 
@@ -131,16 +131,16 @@ def test_piecewise_by_hand():
 @pytest.mark.parametrize(
     ("knots", "message"),
     [
-        ([], "knots must be pairs"),
-        (3, "knots must be pairs"),
-        ("ab", "knots must be pairs"),
-        ([1, 2], "a knot must be a pair"),
-        ([[1, 2, 3]], "a knot must be a pair"),
-        (["ab"], "a knot must be a pair"),
-        ([[-1, 0.5]], "iteration of a knot must be"),
-        ([[0.5, 0.5]], "iteration of a knot must be"),
-        ([[0, math.nan]], "value must be"),
-        ([[0, 1.0], [5, 0.5], [5, 0.1]], "must ascend, got"),
+        ([], r"knots.*\[\]"),
+        (3, "knots.*3"),
+        ("ab", "knots.*ab"),
+        ([1, 2], "knot.*pair.*1"),
+        ([[1, 2, 3]], r"knot.*pair.*\[1, 2, 3\]"),
+        (["ab"], "knot.*pair.*ab"),
+        ([[-1, 0.5]], "iteration.*knot.*-1"),
+        ([[0.5, 0.5]], "iteration.*knot.*0.5"),
+        ([[0, math.nan]], "value.*nan"),
+        ([[0, 1.0], [5, 0.5], [5, 0.1]], "ascend.*5.*5"),
     ],
 )
 def test_piecewise_refuses(knots, message):
@@ -159,7 +159,7 @@ def test_piecewise_refuses(knots, message):
     ],
 )
 def test_cosine_and_inverse_refuse(kind, arguments, name):
-    with pytest.raises(ValueError, match=f"^{name} must be"):
+    with pytest.raises(ValueError, match=rf"^{name}\b"):
         kind(*arguments)
 
 
@@ -198,7 +198,7 @@ def test_as_schedule_takes_schedules_of_others():
             return 0.9 if iteration < 3 else 0.1
 
     assert as_schedule("epsilon", Steps(), 0, 1)(3) == 0.1
-    with pytest.raises(ValueError, match=r"epsilon must be a number in \[0, 0.5\], got 0.9"):
+    with pytest.raises(ValueError, match=r"epsilon.*\[0, 0.5\].*0.9"):
         as_schedule("epsilon", Steps(), 0, 0.5)
 
 
@@ -210,13 +210,13 @@ def test_as_schedule_takes_schedules_of_others():
     ],
 )
 def test_as_schedule_refuses_with_the_name_of_the_argument(value):
-    with pytest.raises(ValueError, match=r"^epsilon must be a number in \[0, 1\], got"):
+    with pytest.raises(ValueError, match=r"^epsilon.*\[0, 1\]"):
         as_schedule("epsilon", value, 0, 1)
 
 
 @pytest.mark.parametrize("value", [0, 0.0, [1.0, 0.0], Constant(0.0)])
 def test_as_schedule_at_an_open_bound(value):
-    with pytest.raises(ValueError, match="temperature must be a number > 0"):
+    with pytest.raises(ValueError, match=r"temperature.*> 0"):
         as_schedule("temperature", value, 0, INFINITY, low_open=True)
 
 

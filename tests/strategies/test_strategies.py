@@ -277,7 +277,7 @@ def test_mask_that_allows_everything_changes_nothing(name):
 
 def test_mask_that_forbids_everything_is_an_error(name):
     mask = torch.tensor([[True, False, False, False], [False] * 4])
-    with pytest.raises(ValueError, match="the action mask forbids every action of a state"):
+    with pytest.raises(ValueError, match="action mask"):
         build(name)(frames(logits_of(2), action_mask=mask))
 
 
@@ -415,7 +415,7 @@ def test_parameters_per_trial(name):
 @pytest.mark.parametrize("bad", [float("nan"), -1.0])
 def test_numbers_that_make_no_sense_are_refused(name, bad):
     for key in numbers(name):
-        with pytest.raises(ValueError, match=f"{key} must be"):
+        with pytest.raises(ValueError, match=rf"{key}\b"):
             build(name, **{key: bad})
 
 

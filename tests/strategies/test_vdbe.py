@@ -68,5 +68,5 @@ def test_epsilon_stays_without_data_and_data_need_the_score():
 @pytest.mark.parametrize("name", ["initial", "sigma", "delta", "step_size"])
 @pytest.mark.parametrize("value", [-0.1, math.nan, [0.1, 0.2]])
 def test_vdbe_refuses(name, value):
-    with pytest.raises(ValueError, match=f"^{name} must be"):
+    with pytest.raises(ValueError, match=rf"^{name}\b"):
         VDBE(**{name: value})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import partial
 
 import gymnasium as gym
@@ -166,9 +167,9 @@ def test_strategies_differ_in_nothing_else():
 
 def test_the_other_kind_is_refused():
     pendulum, cartpole = make_env("Pendulum-v1", 2), make_env("CartPole-v1", 2)
-    with pytest.raises(ValueError, match="Softmax draws discrete actions, but those of the env"):
+    with pytest.raises(ValueError, match=r"Softmax.*discrete actions"):
         TorchRLCollector(pendulum, TensorDictSequential(GaussianLinearPolicy(pendulum), Softmax()))
-    with pytest.raises(ValueError, match="Gaussian draws continuous actions, but those of the env"):
+    with pytest.raises(ValueError, match=r"Gaussian.*continuous actions"):
         TorchRLCollector(cartpole, TensorDictSequential(LinearPolicy(cartpole), Gaussian()))
     with pytest.raises(NotCompilableError, match="the policy"):
         FusedCollector(pendulum, TensorDictSequential(GaussianLinearPolicy(pendulum), Gaussian()))
@@ -184,9 +185,7 @@ def test_a_box_without_bounds():
     data = TorchRLCollector(env, TensorDictSequential(policy, Gaussian())).collect()
     assert data["action"].shape == (2, 2)
     for strategy in (UniformAction(), EpsilonUniform(), EpsilonMean()):
-        with pytest.raises(
-            ValueError, match="draws from the box of the actions, which must be fin"
-        ):
+        with pytest.raises(ValueError, match=r"box.*finite"):
             TorchRLCollector(env, TensorDictSequential(policy, strategy))
     del gym.registry["Endless-v0"]
 
@@ -398,30 +397,28 @@ POLICY = "policy=gaussian_linear|gaussian_mlp"
     [
         (
             "discrete strategy",
-            f"the environment has continuous actions, not served by Softmax; served by {STRATEGY}",
+            f"continuous ... Softmax; ... {STRATEGY}",
         ),
         (
             "discrete policy",
-            "the environment has continuous actions, not served by LinearPolicy; "
-            f"served by {POLICY}",
+            f"continuous ... LinearPolicy; ... {POLICY}",
         ),
         (
             "discrete both",
-            "the environment has continuous actions, not served by Softmax and LinearPolicy; "
-            f"served by {STRATEGY}, {POLICY}",
+            f"continuous ... Softmax and LinearPolicy; ... {STRATEGY}, {POLICY}",
         ),
-        ("continuous both", "the environment has discrete actions, not served by Gaussian and Ga"),
-        ("no density", "loss: PerStep needs the exact probability of every action, which does not"),
+        ("continuous both", "discrete ... Gaussian and GaussianLinearPolicy"),
+        ("no density", "loss: PerStep ... probability"),
         ("fused", "collector: "),
-        ("zero scale", "policy: initial_scale must be a number in"),
-        ("cold", "strategy: temperature must be a number > 0, got 0"),
+        ("zero scale", "policy: initial_scale ... 0"),
+        ("cold", "strategy: temperature ... > 0 ... 0"),
     ],
 )
 def test_what_cannot_be_is_one_line(ran, name, line):
     run, _ = ran[name]
     assert run.returncode == 1
     (error,) = run.stderr.splitlines()
-    assert error.startswith(f"error: {line}")
+    assert re.match("error: .*" + ".*".join(map(re.escape, line.split(" ... "))), error)
 
 
 def test_diagnostics_of_an_on_policy_run(ran):

@@ -166,7 +166,7 @@ def test_several_parameters_and_forgotten_gradients(factory):
 @pytest.mark.parametrize("lr", [0, -0.1, float("nan"), float("inf"), "fast", True])
 @pytest.mark.parametrize("factory", [*LANE_ADAMS, BY_NAME[0]])
 def test_wrong_learning_rates(factory, lr):
-    with pytest.raises(ValueError, match=r"^lr must be a number > 0, got"):
+    with pytest.raises(ValueError, match=r"^lr.*> 0"):
         factory([nn.Parameter(torch.zeros(1))], lr=lr)
 
 
@@ -238,15 +238,15 @@ def test_every_optimiser_of_torch_is_served_or_refused_with_a_reason():
 
 @pytest.mark.parametrize("name", COUPLING)
 def test_what_couples_trials_is_refused(name):
-    with pytest.raises(ValueError, match=f"^{name} cannot train independent trials: it"):
+    with pytest.raises(ValueError, match=f"^{name}.*trials.*: "):
         torch_optimizer([nn.Parameter(torch.zeros(2, 1))], name=name)
 
 
 def test_wrong_names_and_options():
     parameters = [nn.Parameter(torch.zeros(2, 1))]
-    with pytest.raises(ValueError, match=r"^name must be one of ASGD, .*, SGD, got 'sgd'$"):
+    with pytest.raises(ValueError, match=r"^name.*ASGD, .*, SGD.*'sgd'"):
         torch_optimizer(parameters, name="sgd")
-    message = "^SGD has the options momentum, dampening, .*, got 'moment'$"
+    message = "^SGD.*momentum, dampening, .*'moment'"
     for option in ("moment", "foreach", "lr", "differentiable"):
         with pytest.raises(ValueError, match=message.replace("moment'", f"{option}'")):
             torch_optimizer(parameters, name="SGD", options={option: 1})
@@ -284,14 +284,12 @@ def test_groups_have_learning_rates_of_their_own(factory):
 @pytest.mark.parametrize("factory", [*LANE_ADAMS, BY_NAME[0]])
 def test_wrong_groups(factory):
     group = {"params": [nn.Parameter(torch.zeros(2, 1))], "lr": -1.0}
-    with pytest.raises(ValueError, match=r"^lr must be a number > 0, got -1\.0"):
+    with pytest.raises(ValueError, match=r"^lr.*> 0.*-1\.0"):
         factory([group])
 
 
 def test_a_group_of_the_compiled_adam_has_no_other_options():
-    with pytest.raises(
-        ValueError, match=r"^a group of parameters has 'params' and 'lr', got 'eps'"
-    ):
+    with pytest.raises(ValueError, match=r"'params'.*'lr'.*'eps'"):
         LaneAdam([{"params": [nn.Parameter(torch.zeros(2, 1))], "eps": 1e-3}])
 
 
@@ -301,7 +299,7 @@ def test_adam_needs_an_entry_for_every_trial():
     adam = LaneAdam([weight], lr=0.1)
     weight.grad = torch.ones(4, 2)
     for n in (1, 2, 5):
-        with pytest.raises(ValueError, match=rf"active is \[{n}\], but there are 4 trials"):
+        with pytest.raises(ValueError, match=rf"^active.*\[{n}\].*4 trials"):
             adam.step(torch.ones(n, dtype=torch.bool))
     assert adam.steps == 0
     assert not weight.any()

@@ -124,5 +124,5 @@ def test_each_trial_has_its_own_books():
 )
 def test_wrong_arguments(trials, options):
     name = next(iter(options), "trials")
-    with pytest.raises(ValueError, match=f"^{name} must be"):
+    with pytest.raises(ValueError, match=rf"^{name}\b"):
         Trials(trials, **options)

@@ -349,7 +349,7 @@ def test_a_mean_over_trials_is_refused(build):
     def mean(*args, **kwargs):
         return ReinforceLoss(*args, **kwargs, reduction="mean")
 
-    with pytest.raises(ValueError, match="reduction 'mean' couples the trials"):
+    with pytest.raises(ValueError, match=r"reduction.*'mean'.*trials"):
         build(Softmax(), loss=mean)
 
 

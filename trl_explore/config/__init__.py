@@ -5,7 +5,6 @@ built, so that ``--help``, ``--cfg`` and tab completion are quick.
 """
 
 from trl_explore.checks import first_line
-from trl_explore.config.base import CONF, GROUPS, INERT, ConfigError
 from trl_explore.config.building import (
     build_trainer,
     current_choices,
@@ -15,8 +14,9 @@ from trl_explore.config.building import (
     save_hydra,
 )
 from trl_explore.config.checking import check_keys, describe, differences, resolved
+from trl_explore.config.files import CONF, GROUPS, INERT, ConfigError
 from trl_explore.config.naming import job_name, register_resolvers
-from trl_explore.config.sweeping import Ended, collecting, end_job, is_worker
+from trl_explore.config.sweeping import Ended, collect, end_job, is_repeated, is_worker
 
 __all__ = [
     "CONF",
@@ -26,7 +26,7 @@ __all__ = [
     "Ended",
     "build_trainer",
     "check_keys",
-    "collecting",
+    "collect",
     "current_choices",
     "current_folder",
     "describe",
@@ -35,6 +35,7 @@ __all__ = [
     "fill_threshold",
     "first_line",
     "is_multirun",
+    "is_repeated",
     "is_worker",
     "job_name",
     "register_resolvers",

@@ -13,8 +13,8 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.checks import LARGEST, MAX_THREADS, check_integer, check_number
-from trl_explore.config.base import ConfigError
 from trl_explore.config.checking import describe
+from trl_explore.config.files import ConfigError
 from trl_explore.config.kinds import check_actions
 
 if TYPE_CHECKING:

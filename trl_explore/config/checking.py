@@ -11,12 +11,12 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from trl_explore.checks import first_line
-from trl_explore.config.base import (
-    CONF,
+from trl_explore.config.files import (
     GROUPS,
     INERT,
     ConfigError,
     defaults_of,
+    load,
     same,
     schedules_of,
 )
@@ -51,12 +51,11 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
 
 
 def _check_group(config: DictConfig, group: str, option: str | None) -> None:
-    path = CONF / group / f"{option}.yaml"
     if not isinstance(config[group], DictConfig):
         raise ConfigError(f"{group} must name a file of conf/{group}/, got {config[group]}")
-    if not path.is_file():
+    allowed = {str(key) for key in load(f"{group}/{option}")}
+    if not allowed:
         return  # a file of the user's own; the constructor checks
-    allowed = {str(key) for key in OmegaConf.load(path)}
     given = {str(key) for key in config[group]}
     for name in sorted(given - allowed):
         shown = sorted(key for key in allowed if not key.startswith("_"))
@@ -79,7 +78,7 @@ def _check_schedule(
     for key in sorted({str(key) for key in node} - {str(key) for key in expected}):
         has = ", ".join(sorted(str(k) for k in expected if not str(k).startswith("_")))
         option = choices.get("strategy")
-        own = OmegaConf.select(OmegaConf.load(CONF / "strategy" / f"{option}.yaml"), name)
+        own = OmegaConf.select(load(f"strategy/{option}"), name)
         hint = ""
         if isinstance(own, DictConfig) and f"strategy.{name}" in schedules_of(choices):
             hint = f"; strategy={option} has a schedule of its own, which cannot be exchanged"

@@ -7,7 +7,7 @@ from typing import Any
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 
-from trl_explore.config.base import CONF, ConfigError
+from trl_explore.config.files import CONF, ConfigError
 
 SERVING = ("strategy", "policy")
 """The groups whose options serve one kind of action, which their class states in ``actions``."""

@@ -5,17 +5,18 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, cast
 from urllib.parse import quote
 
 from omegaconf import DictConfig, OmegaConf
 
-from trl_explore.config.base import (
-    CONF,
+from trl_explore.config.files import (
     GROUPS,
     INERT,
     ConfigError,
     defaults_of,
+    load,
     same,
     schedules_of,
 )
@@ -76,9 +77,9 @@ def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
     return f"{name[:180]}-{hashlib.sha256(name.encode()).hexdigest()[:12]}"
 
 
+@cache
 def _default_choices() -> dict[str, str]:
-    entries = cast(DictConfig, OmegaConf.load(CONF / "train.yaml")).defaults
-    named = (entry for entry in entries if isinstance(entry, DictConfig))
+    named = (entry for entry in load("train").defaults if isinstance(entry, DictConfig))
     return {str(group): option for entry in named for group, option in entry.items()}
 
 

@@ -1,8 +1,8 @@
 """A sweep under any launcher: which jobs it has, and how each one ended, whatever process ran it.
 
-Hydra drops what a job returns, and knows the jobs of a sweep only inside its sweeper. So the
-sweeper that Hydra builds is given a launcher of ours, which hands on to the one that was chosen
-(``hydra/launcher=joblib``), and keeps what comes back.
+Hydra drops what a job returns. So a callback of Hydra (``hydra.callbacks.sweep`` in
+``conf/train.yaml``) plans the jobs before the first one is run, and how a job ended that another
+process ran (``hydra/launcher=joblib``) is read from its files.
 """
 
 from __future__ import annotations
@@ -10,22 +10,24 @@ from __future__ import annotations
 import shutil
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hydra.core.plugins import Plugins
-from hydra.core.utils import JobReturn
-from hydra.plugins.launcher import Launcher
-from hydra.plugins.sweeper import Sweeper
-from omegaconf import DictConfig
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.checks import first_line
-from trl_explore.config.base import ConfigError
 from trl_explore.config.building import is_multirun
+from trl_explore.config.files import ConfigError
 from trl_explore.config.naming import register_resolvers
 from trl_explore.jobs import sweeps
+from trl_explore.jobs.lock import is_locked
 
 register_resolvers()  # a launcher's process composes the configuration before it runs our code
 # conf/hydra/launcher/ says every argument of the plugins, whose schemas have the same names.
@@ -36,16 +38,16 @@ warnings.filterwarnings(
 EXTRAS = {"joblib": "joblib", "submitit_local": "submitit", "submitit_slurm": "submitit",
           "ray": "ray"}  # fmt: skip
 """Which extra of the package a launcher needs."""
+CUT = "it was cut off; the same command goes on"
+"""The reason of a job that ended without a result or a reason of its own."""
 
 
 class Ended(NamedTuple):
-    """How a job ended; this goes through a pipe or a file where another process ran it."""
+    """How a job ended."""
 
     folder: Path
     error: str = ""
     """One line; nothing if the job is finished."""
-    told: bool = False
-    """Whether the user has seen the line."""
 
     @property
     def line(self) -> str:
@@ -53,11 +55,83 @@ class Ended(NamedTuple):
         return f"{self.folder.name}: {self.error}"
 
 
+class Sweep(Callback):
+    """The jobs of a sweep; Hydra hands a copy of it to every process that runs one of them.
+
+    Hydra turns what a callback raises into a warning. So what is wrong is noted here, or left to
+    Hydra, which composes the same jobs again.
+    """
+
+    def __init__(self) -> None:
+        self.folders: list[Path] = []
+        """The folder of each job, by its number; empty if the jobs cannot be composed."""
+        self.place = Path()
+        """The folder of the sweep, where Hydra writes ``multirun.yaml``."""
+        self.missing = ""
+        """Which launcher is not installed: one line."""
+
+    def on_multirun_start(self, config: DictConfig, **arguments: Any) -> None:
+        """Plan the jobs, and write down which ones are asked for."""
+        _State.sweep = self
+        self.place = Path(str(config.hydra.sweep.dir)).absolute()
+        self.missing = _not_installed(config)
+        if not self.missing:
+            with suppress(Exception):  # Hydra comes upon the same, and raises it
+                folders = _plan(config)
+                for sweep, names in _by_sweep(folders).items():
+                    sweep.mkdir(parents=True, exist_ok=True)
+                    sweeps.begin_sweep(sweep, names)
+                self.folders = folders
+
+    def on_job_start(self, config: DictConfig, **arguments: Any) -> None:
+        """Note whether the job that begins in this process is named a second time."""
+        number = OmegaConf.select(config, "hydra.job.num", throw_on_missing=False)
+        planned = isinstance(number, int) and number < len(self.folders)
+        _State.repeated = planned and self.folders.index(self.folders[number]) < number
+
+
 class _State:
     """Of this process alone: it does not go to the processes of a launcher."""
 
     leads = False
+    repeated = False
+    sweep: Sweep | None = None
     ended: list[Ended]
+
+
+def _plan(config: DictConfig) -> list[Path]:
+    """Compose every job of a sweep, which finds what cannot be; the folder of each."""
+    loader = GlobalHydra.instance().config_loader()
+    words = [f"{key}={value}" for key, value in (config.hydra.sweeper.get("params") or {}).items()]
+    words += [str(word) for word in config.hydra.overrides.task]
+    overrides = OverridesParser.create(config_loader=loader).parse_overrides(words)
+    (batch,) = BasicSweeper.split_arguments(overrides, max_batch_size=None)
+    jobs = (loader.load_sweep_config(config, job) for job in batch)
+    return [Path(str(job.hydra.sweep.dir), str(job.hydra.sweep.subdir)).absolute() for job in jobs]
+
+
+def _by_sweep(folders: list[Path]) -> dict[Path, list[str]]:
+    """The names of the jobs in the folder of each sweep, each once."""
+    places: dict[Path, list[str]] = {}
+    for folder in dict.fromkeys(folders):
+        places.setdefault(folder.parent, []).append(folder.name)
+    return places
+
+
+def _not_installed(config: DictConfig) -> str:
+    """One line if the launcher or the sweeper that was chosen cannot be imported."""
+    choices = config.hydra.runtime.choices
+    name = choices.get("hydra/launcher")
+    try:
+        for plugin in (config.hydra.launcher, config.hydra.sweeper):
+            import_module(plugin._target_.rpartition(".")[0])
+    except Exception as error:  # whatever importing it raises
+        if name in EXTRAS:
+            extra = f"pip install 'trl_explore[{EXTRAS[name]}]'"
+            return f"hydra/launcher={name} is not installed: {extra}"
+        chosen = f"hydra/launcher={name}, hydra/sweeper={choices.get('hydra/sweeper')}"
+        return f"{chosen}: {first_line(error)}"
+    return ""
 
 
 def is_worker() -> bool:
@@ -65,8 +139,13 @@ def is_worker() -> bool:
     return not _State.leads
 
 
-def end_job(folder: Path, error: str = "", *, record: bool = True) -> Ended:
-    """Note how a job ended: for the one who started it, and for ``status``.
+def is_repeated() -> bool:
+    """Whether the job of this process is named before in its sweep, as ``1`` and then ``1.0``."""
+    return _State.repeated
+
+
+def end_job(folder: Path, error: str = "", *, record: bool = True) -> None:
+    """Note how a job ended: for the process that started it, and for ``status``.
 
     Args:
         folder: of the job; of one that failed it is removed, unless there is something in it
@@ -85,123 +164,49 @@ def end_job(folder: Path, error: str = "", *, record: bool = True) -> Ended:
             sweeps.record_failure(folder, error)
     else:
         sweeps.forget_failure(folder)
-    ended = Ended(folder, error, told=_State.leads)
-    if error and ended.told:
-        print(f"error: {ended.line if is_multirun() else error}", file=sys.stderr)
-    if _State.leads and not is_multirun():
+    ended = Ended(folder, error)
+    if _State.leads:
+        if error:
+            print(f"error: {ended.line if is_multirun() else error}", file=sys.stderr)
         _State.ended.append(ended)
-    return ended
 
 
-@contextmanager
-def collecting() -> Iterator[list[Ended]]:
-    """How the jobs that Hydra runs within this context ended, in their order.
+def collect(start: Callable[[], object]) -> list[Ended]:
+    """Let Hydra run its jobs; how each one ended, in their order.
 
     Raises:
         ConfigError: if the launcher that was chosen is not installed.
+        Exception: what Hydra raises, if no job can be composed.
     """
-    _State.leads, _State.ended = True, []
-    plugins = Plugins.instance()
-
-    def instantiate(*, config: DictConfig, **arguments: Any) -> Sweeper:
-        del plugins.instantiate_sweeper  # for once; and nothing of ours goes to other processes
-        try:
-            sweeper = plugins.instantiate_sweeper(config=config, **arguments)
-        except (RuntimeError, ImportError) as error:
-            raise ConfigError(_not_installed(config, error)) from None
-        watch = _Watch(sweeper, _State.ended)
-        sweeper.validate_batch_is_legal = watch.compose
-        sweeper.launcher = watch
-        return sweeper
-
-    plugins.instantiate_sweeper = instantiate
+    _State.leads, _State.repeated, _State.sweep, _State.ended = True, False, None, []
+    reason = CUT
     try:
-        yield _State.ended
-    finally:
-        vars(plugins).pop("instantiate_sweeper", None)
-
-
-def _not_installed(config: DictConfig, error: Exception) -> str:
-    choices = config.hydra.runtime.choices
-    name = choices.get("hydra/launcher")
-    if name in EXTRAS:
-        return f"hydra/launcher={name} is not installed: pip install 'trl_explore[{EXTRAS[name]}]'"
-    chosen = f"hydra/launcher={name}, hydra/sweeper={choices.get('hydra/sweeper')}"
-    return f"{chosen}: {first_line(error)}"
-
-
-class _Watch(Launcher):
-    """The launcher of a sweeper, and what is known of its jobs before and after they are run."""
-
-    def __init__(self, sweeper: Sweeper, ended: list[Ended]) -> None:
-        assert sweeper.launcher is not None
-        self.sweeper, self.launcher, self.ended = sweeper, sweeper.launcher, ended
-        self.folders: dict[tuple[str, ...], Path] = {}
-
-    def setup(self, **arguments: Any) -> None:
-        """The launcher has been set up."""
-
-    def compose(self, batch: Sequence[Sequence[str]]) -> None:
-        """Compose every job, which finds what cannot be, and note the folders that they have."""
-        assert self.sweeper.hydra_context is not None
-        assert self.sweeper.config is not None
-        loader = self.sweeper.hydra_context.config_loader
-        try:
-            for overrides in batch:
-                job = loader.load_sweep_config(self.sweeper.config, list(overrides))
-                folder = Path(str(job.hydra.sweep.dir), str(job.hydra.sweep.subdir))
-                self.folders[tuple(overrides)] = folder.absolute()
-        except BaseException:
-            sweeps.end_sweep(Path(str(self.sweeper.config.hydra.sweep.dir)))
+        start()
+    except Exception as error:
+        if _State.sweep is not None and _State.sweep.missing:
+            raise ConfigError(_State.sweep.missing) from None
+        if _State.sweep is None or not _State.sweep.folders:
             raise
-
-    def launch(
-        self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
-    ) -> Sequence[JobReturn]:
-        """Launch each job once, also where a sweep names it twice, as ``1`` and ``1.0``."""
-        unknown = [o for o in job_overrides if tuple(o) not in self.folders]
-        if unknown:
-            self.compose(unknown)
-        jobs: dict[Path, Sequence[str]] = {}
-        for overrides in job_overrides:
-            jobs.setdefault(self.folders[tuple(overrides)], overrides)
-        places: dict[Path, list[str]] = {}
-        for folder in jobs:
-            places.setdefault(folder.parent, []).append(folder.name)
-        for sweep, names in places.items():
-            sweep.mkdir(parents=True, exist_ok=True)
-            sweeps.begin_sweep(sweep, names)
-        try:
-            return self._launch(jobs, job_overrides, initial_job_idx)
-        finally:
-            for sweep in places:
+        # Of the launcher itself: a process that was killed, a timeout.
+        reason = f"the launcher lost it ({type(error).__name__}: {first_line(error)})"
+    finally:
+        if _State.sweep is not None:
+            for sweep in {_State.sweep.place, *_by_sweep(_State.sweep.folders)}:
                 sweeps.end_sweep(sweep)
-
-    def _launch(
-        self,
-        jobs: dict[Path, Sequence[str]],
-        job_overrides: Sequence[Sequence[str]],
-        initial_job_idx: int,
-    ) -> list[JobReturn]:
-        try:
-            returned = self.launcher.launch(list(jobs.values()), initial_job_idx)
-        except Exception as error:  # of the launcher itself: a process that was killed, a timeout
-            reason = f"the launcher lost it ({type(error).__name__}: {first_line(error)})"
-            self.ended += [_from_files(folder, reason) for folder in jobs]
-            return []
-        by_folder = dict(zip(jobs, returned, strict=True))
-        for job in by_folder.values():
-            ended: Ended = job.return_value
-            if ended.error and not ended.told:
-                print(f"error: {ended.line}", file=sys.stderr)
-            self.ended.append(ended)
-        return [by_folder[self.folders[tuple(overrides)]] for overrides in job_overrides]
+    if _State.sweep is None:
+        return _State.ended
+    here = {job.folder.absolute(): job for job in _State.ended}
+    folders = dict.fromkeys(_State.sweep.folders)
+    return [here.get(folder) or _from_files(folder, reason) for folder in folders]
 
 
 def _from_files(folder: Path, reason: str) -> Ended:
-    """How a job ended of which nothing came back."""
-    if (folder / sweeps.RUN).is_file():
+    """How a job ended that another process ran."""
+    failure = sweeps.read_failures(folder.parent).get(folder.name)
+    if failure is None and (folder / sweeps.RUN).is_file():
         return Ended(folder)
-    ended = Ended(folder, sweeps.read_failures(folder.parent).get(folder.name, reason))
+    if failure is None and is_locked(folder):
+        failure = f"{folder} is in use: another process runs this job"
+    ended = Ended(folder, failure or reason)
     print(f"error: {ended.line}", file=sys.stderr)
     return ended

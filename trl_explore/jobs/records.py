@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,21 +17,13 @@ from trl_explore.jobs.columns import (
 )
 from trl_explore.jobs.reading import read_episodes, read_run, read_trials
 from trl_explore.jobs.tables import Parser, integers, numbers, read_table
-from trl_explore.training.columns import DIAGNOSTIC_COLUMNS
+from trl_explore.training.columns import DIAGNOSTIC_COLUMNS, DIAGNOSTICS
 
 if TYPE_CHECKING:
     import pandas as pd
 
 ROUNDING = 1e-4
 """By which single precision may pass a bound."""
-BOUNDS: Mapping[str, tuple[float, float]] = {
-    "ratio_mean": (0.0, np.inf),
-    "effective_sample_size": (0.0, 1.0),
-    "exploratory": (0.0, 1.0),
-    "greedy_share": (0.0, 1.0),
-    "coverage": (1.0, np.inf),
-    "gradient_norm": (0.0, np.inf),
-}
 EVALUATION_PARSERS: dict[str, Parser] = dict(
     zip(EVALUATION_COLUMNS, (integers, integers, numbers), strict=True)
 )
@@ -62,7 +53,7 @@ def read_diagnostics(job: Path, episodes: pd.DataFrame | None = None) -> pd.Data
     for name in DIAGNOSTIC_COLUMNS:
         if frame[name].dtype.kind not in "fi":
             raise ResultsError(f"{where}: column {name} is not of numbers")
-        low, high = BOUNDS.get(name, (-np.inf, np.inf))
+        low, high = DIAGNOSTICS[name].bounds
         values = frame[name].to_numpy(np.float64)
         if ((values < low - ROUNDING) | (values > high + ROUNDING)).any():
             raise ResultsError(f"{where}: column {name} leaves the range {low:g} to {high:g}")

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from trl_explore.jobs.columns import ResultsError
-from trl_explore.report.catalogue import draw_all
-from trl_explore.report.claims_table import claims_table
+from trl_explore.report.claims import claims_table, why_tables
 from trl_explore.report.evidence import gather
+from trl_explore.report.figures import draw_all
 from trl_explore.report.loading import Gap, load
 from trl_explore.report.page import TITLE, Content, page
 from trl_explore.report.results_tables import (
@@ -19,7 +19,6 @@ from trl_explore.report.results_tables import (
     summary_table,
 )
 from trl_explore.report.tables import Table
-from trl_explore.report.why import why_tables
 from trl_explore.statistics.bootstrap import RESAMPLES
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,10 +12,9 @@ from numpy.typing import NDArray
 from trl_explore.jobs.columns import EPISODES, ResultsError
 from trl_explore.jobs.reading import read_curves, read_episodes
 from trl_explore.jobs.records import read_diagnostics, read_evaluations
-from trl_explore.report.figures.learning import Row
 from trl_explore.report.groups import Group
 from trl_explore.report.loading import Gap, Job, gap
-from trl_explore.training.columns import DIAGNOSTIC_COLUMNS
+from trl_explore.training.columns import DIAGNOSTICS
 
 POINTS = 240
 """Most iterations at which a curve is drawn."""
@@ -27,22 +25,36 @@ SMOOTH = 20
 
 
 @dataclass(frozen=True, eq=False)
+class Curve:
+    """A mean or median [k] by ``iterations`` [k], with the middle half of the trials if known."""
+
+    iterations: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    low: NDArray[np.float64] | None = None
+    high: NDArray[np.float64] | None = None
+
+    @property
+    def level(self) -> float:
+        """Mean over the iterations."""
+        return float(np.mean(self.mean))
+
+
+@dataclass(frozen=True, eq=False)
 class Traces:
-    """The curves of a group, each list in the order of its configurations.
+    """The curves of a group, by the names of its configurations, in their order.
 
     Attributes:
         learning: running score, mean over trials, with the middle half of them.
         diagnostics: quantity -> its curves, median over trials with the middle half of them;
-            empty where nothing was recorded.
-        evaluations: name of a configuration -> score in training and score of the greedy policy,
-            means over trials.
+            quantities that were not recorded are absent.
+        evaluations: score in training and score of the greedy policy, means over trials.
         gaps: what could not be read.
 
     """
 
-    learning: list[Row] = field(default_factory=list)
-    diagnostics: dict[str, dict[str, Row]] = field(default_factory=dict)
-    evaluations: dict[str, tuple[Row, Row]] = field(default_factory=dict)
+    learning: dict[str, Curve] = field(default_factory=dict)
+    diagnostics: dict[str, dict[str, Curve]] = field(default_factory=dict)
+    evaluations: dict[str, tuple[Curve, Curve]] = field(default_factory=dict)
     gaps: list[Gap] = field(default_factory=list)
 
 
@@ -89,56 +101,41 @@ def running_means(
     return result
 
 
-def running_scores(
-    episodes: pd.DataFrame, window: int, at: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Mean score over the last ``window`` episodes of every trial: see :func:`running_means`.
-
-    Args:
-        episodes: columns trial, iteration (from 1) and score.
-        window: number of episodes.
-        at: iterations [k], from 1.
-
-    Returns:
-        [k, n_trials], trials in ascending order.
-
-    """
-    return running_means(*_columns(episodes, "score"), window, at)
-
-
 def read_traces(group: Group) -> Traces:
     """Everything that was recorded along the runs of a group; files are read once."""
-    traces = Traces(diagnostics={name: {} for name in DIAGNOSTIC_COLUMNS})
+    traces = Traces()
     end = max(int(c.iterations.max()) for c in group.configurations)
     for c in group.configurations:
-        style, label = group.styles[c.name], group.labels[c.name]
-        parts = _Parts()
+        parts = _Parts(end, group.window)
         for job in group.jobs[c.name]:
-            parts.read(job, group.window, end)
+            parts.read(job)
         traces.gaps.extend(parts.gaps)
-        if (row := parts.learning(label, style)) is not None:
-            traces.learning.append(row)
+        if (curve := parts.learning()) is not None:
+            traces.learning[c.name] = curve
         for name, tables in parts.diagnostics.items():
-            if (row := _middle(_grid(end, FEWER_POINTS), tables, label, style)) is not None:
-                traces.diagnostics[name][c.name] = row
+            if (curve := _middle(parts.few, tables)) is not None:
+                traces.diagnostics.setdefault(name, {})[c.name] = curve
         if parts.evaluations and parts.scores:
-            at = _grid(end)
-            rows = [
-                Row(name, at.astype(np.float64), np.concatenate(t, axis=1).mean(axis=1), None,
-                    None, style)
-                for name, t in (("training", parts.scores), ("greedy", parts.evaluations))
-            ]  # fmt: skip
-            traces.evaluations[c.name] = (rows[0], rows[1])
-    for name in [name for name, rows in traces.diagnostics.items() if not rows]:
-        del traces.diagnostics[name]
+            x = parts.at.astype(np.float64)
+            training, greedy = (
+                Curve(x, np.concatenate(tables, axis=1).mean(axis=1))
+                for tables in (parts.scores, parts.evaluations)
+            )
+            traces.evaluations[c.name] = training, greedy
     return traces
 
 
 class _Parts:
-    """What the jobs of one configuration recorded, job by job: tables [k, n_trials]."""
+    """What the jobs of one configuration recorded, job by job: tables [k, n_trials].
 
-    def __init__(self) -> None:
-        self.at = np.zeros(0, dtype=np.int64)
+    Args:
+        end: last iteration of the group.
+        window: episodes that a running score averages over.
+
+    """
+
+    def __init__(self, end: int, window: int) -> None:
+        self.window, self.at, self.few = window, _grid(end, POINTS), _grid(end, FEWER_POINTS)
         self.scores: list[NDArray[np.float64]] = []
         self.means: list[NDArray[np.float64]] = []
         self.weights: list[int] = []
@@ -146,35 +143,28 @@ class _Parts:
         self.evaluations: list[NDArray[np.float64]] = []
         self.gaps: list[Gap] = []
 
-    def read(self, job: Job, window: int, end: int) -> None:
+    def read(self, job: Job) -> None:
         """Add a job."""
-        self.at = _grid(end)
         try:
             episodes = read_episodes(job.folder)
         except ResultsError as error:
             if (job.folder / EPISODES).exists():
                 self.gaps.append(gap(job.folder, error))
-            self._curve(job)
+            if (mean := _mean(job, self.at)) is not None:
+                self.means.append(mean)
+                self.weights.append(len(job.outcomes))
             return
-        self.scores.append(running_scores(episodes, window, self.at))
+        self.scores.append(running_means(*_columns(episodes, "score"), self.window, self.at))
         try:
-            self._details(job, episodes, end)
+            self._details(job, episodes)
         except ResultsError as error:
             self.gaps.append(gap(job.folder, error))
 
-    def _curve(self, job: Job) -> None:
-        try:
-            self.means.append(_mean(job, self.at))
-            self.weights.append(len(job.outcomes))
-        except ResultsError:
-            return
-
-    def _details(self, job: Job, episodes: pd.DataFrame, end: int) -> None:
+    def _details(self, job: Job, episodes: pd.DataFrame) -> None:
         rows = read_diagnostics(job.folder, episodes)
         if rows is not None:
-            at = _grid(end, FEWER_POINTS)
-            for name in DIAGNOSTIC_COLUMNS:
-                table = running_means(*_columns(rows, name), SMOOTH, at)
+            for name in DIAGNOSTICS:
+                table = running_means(*_columns(rows, name), SMOOTH, self.few)
                 self.diagnostics.setdefault(name, []).append(table)
         played = read_evaluations(job.folder)
         if played is not None and len(played["trial"]):
@@ -185,30 +175,28 @@ class _Parts:
                 running_means(played["trial"], played["iteration"], played["score"], count, self.at)
             )
 
-    def learning(self, label: str, style: Any) -> Row | None:
+    def learning(self) -> Curve | None:
         """The learning curve, with a band where every job recorded its episodes."""
         x = self.at.astype(np.float64)
         if self.scores and not self.means:
             table = np.concatenate(self.scores, axis=1)
             low, high = np.quantile(table, [0.25, 0.75], axis=1)
-            return Row(label, x, table.mean(axis=1), low, high, style)
-        if self.means or self.scores:
+            return Curve(x, table.mean(axis=1), low, high)
+        if self.means:
             parts = [*self.means, *(s.mean(axis=1) for s in self.scores)]
             sizes = [*self.weights, *(s.shape[1] for s in self.scores)]
-            return Row(label, x, np.average(parts, axis=0, weights=sizes), None, None, style)
+            return Curve(x, np.average(parts, axis=0, weights=sizes))
         return None
 
 
-def _middle(
-    at: NDArray[np.int64], tables: Sequence[NDArray[np.float64]], label: str, style: Any
-) -> Row | None:
+def _middle(at: NDArray[np.int64], tables: Sequence[NDArray[np.float64]]) -> Curve | None:
     """Median and middle half over the trials that have a value; None where none has."""
     table = np.concatenate(list(tables), axis=1)
     known = np.isfinite(table).any(axis=1)
     if not known.any():
         return None
     low, middle, high = np.nanquantile(table[known], [0.25, 0.5, 0.75], axis=1)
-    return Row(label, at[known].astype(np.float64), middle, low, high, style)
+    return Curve(at[known].astype(np.float64), middle, low, high)
 
 
 def _columns(
@@ -221,16 +209,14 @@ def _columns(
     )
 
 
-def _grid(end: int, points: int = POINTS) -> NDArray[np.int64]:
+def _grid(end: int, points: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(1, end, points).round().astype(np.int64))
 
 
-def _mean(job: Job, at: NDArray[np.int64]) -> NDArray[np.float64]:
+def _mean(job: Job, at: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """The mean score of a job without ``episodes.csv``; None where that was not recorded."""
     try:
-        curves = read_curves(job.folder)
-        curve = curves["score"].dropna().to_numpy(np.float64)
-    except (ValueError, KeyError, OSError) as error:
-        raise ResultsError(f"{job.folder}: no learning curve ({error})") from None
-    if not len(curve):
-        raise ResultsError(f"{job.folder}: an empty learning curve")
-    return curve[np.minimum(at, len(curve)) - 1]
+        curve = read_curves(job.folder)["score"].dropna().to_numpy(np.float64)
+    except (ValueError, KeyError, OSError):
+        return None
+    return curve[np.minimum(at, len(curve)) - 1] if len(curve) else None

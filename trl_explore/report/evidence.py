@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from trl_explore.names import experiment
 from trl_explore.report.curves import Traces, read_traces
-from trl_explore.report.figures import learning
 from trl_explore.report.groups import Group, group_jobs
-from trl_explore.report.labels import readable
 from trl_explore.report.loading import Gap, Loaded
-from trl_explore.statistics.answer import answer, because
+from trl_explore.report.sentences import (
+    answer,
+    because,
+    option_sentences,
+    plane_sentences,
+    verdicts,
+)
 from trl_explore.statistics.bootstrap import RESAMPLES, streams
 from trl_explore.statistics.comparisons import Comparison, compare_all, compare_pairs
-from trl_explore.statistics.effects import option_sentences, plane_sentences
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import SharedTrials, shared_trials
@@ -27,8 +30,6 @@ from trl_explore.thesis import Checked, Study, check_claims, why
 SEED = 20170101
 """Of every bootstrap and permutation of a report, so that it is the same when made twice."""
 FEWER_RESAMPLES, MANY_DRAWS = 1999, 3_000_000_000
-WHY = ("corrections", "corrections_temperature")
-"""The experiments that tell why."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +46,17 @@ class GroupEvidence:
     incomparable: str
     sentences: tuple[str, ...]
     traces: Traces
-    level: float
     resamples: int
 
     @property
-    def learning(self) -> list[learning.Row]:
-        """The learning curves, in the order of the configurations that have one."""
-        return self.traces.learning
+    def strict_level(self) -> float:
+        """Level of one test such that all comparisons together keep theirs (Bonferroni)."""
+        return 1.0 - (1.0 - LEVEL) / max(1, len(self.comparisons))
+
+    @property
+    def why(self) -> bool:
+        """Whether the group belongs to the section on the bias."""
+        return experiment(self.group.experiment).why and self.group.crossed is not None
 
     def summary(self, name: str) -> Summary:
         """The statistics of a configuration."""
@@ -77,36 +82,33 @@ class Evidence:
     @property
     def timed(self) -> int:
         """How many trials were timed by themselves."""
-        timings = [e.group.timing(c.name) for e in self.groups for c in e.group.configurations]
-        return sum(len(t.seconds) for t in timings if t is not None)
+        return sum(len(e.group.timed(c)[1]) for e in self.groups for c in e.group.configurations)
 
 
-def gather(loaded: Loaded, *, level: float = LEVEL, resamples: int = RESAMPLES) -> Evidence:
+def gather(loaded: Loaded, *, resamples: int = RESAMPLES) -> Evidence:
     """Compute everything; each part has a random stream of its own, named after it."""
     groups = group_jobs(loaded.jobs)
     labels = ["claims", "why", "why: uncorrected", "why: corrected", *(g.id for g in groups)]
     rngs = streams(np.random.default_rng(SEED), labels)
     gaps = list(loaded.gaps)
-    parts = [_group_evidence(g, rngs[g.id], level, resamples, gaps) for g in groups]
+    parts = [_group_evidence(g, rngs[g.id], resamples, gaps) for g in groups]
     outcomes = [job.outcomes for job in loaded.jobs]
     timed = {f"{j.outcomes.experiment}/{j.outcomes.name}": j.timing for j in reversed(loaded.jobs)}
     study = Study(
         outcomes,
         seconds={key: t.seconds for key, t in timed.items() if t is not None},
         timed_trials={key: t.trial for key, t in timed.items() if t is not None},
-        level=level,
         resamples=resamples,
     )
     checked = check_claims(study, rngs["claims"])
     reexamined, causes = _why(study, rngs)
     bias = because([c for c in causes if c.claim.id in why.BIAS])
-    last = answer([], [], checked)[2]
     return Evidence(
         groups=parts,
         checked=checked,
         reexamined=reexamined,
         causes=causes,
-        answer=(*parts[0].sentences, *([bias] if bias else []), readable(last)),
+        answer=(*parts[0].sentences, *([bias] if bias else []), verdicts(checked)),
         shared=shared_trials(outcomes),
         gaps=gaps,
         outcomes=outcomes,
@@ -116,18 +118,14 @@ def gather(loaded: Loaded, *, level: float = LEVEL, resamples: int = RESAMPLES) 
 def _why(
     study: Study, rngs: Mapping[str, np.random.Generator]
 ) -> tuple[list[why.Reexamined], list[Checked]]:
-    if not any(o.experiment in WHY for o in study.outcomes):
+    if not any(experiment(o.experiment).why for o in study.outcomes):
         return [], []
-    names = [claim.id for claim in why.CONCLUSIONS]
-    plain, corrected = (
-        list(streams(rngs[f"why: {which}"], names).values())
-        for which in ("uncorrected", "corrected")
-    )
-    return why.reexamine(study, plain, corrected), check_claims(study, rngs["why"], why.CLAIMS)
+    twice = why.reexamine(study, rngs["why: uncorrected"], rngs["why: corrected"])
+    return twice, check_claims(study, rngs["why"], why.CLAIMS)
 
 
 def _group_evidence(
-    group: Group, rng: np.random.Generator, level: float, resamples: int, gaps: list[Gap]
+    group: Group, rng: np.random.Generator, resamples: int, gaps: list[Gap]
 ) -> GroupEvidence:
     configurations = group.configurations
     n, trials = len(configurations), max(len(c) for c in configurations)
@@ -138,29 +136,25 @@ def _group_evidence(
     rngs = streams(rng, ["summaries", "comparisons"])
     comparisons: list[Comparison] = []
     incomparable = "" if n > 1 else "there is only one configuration"
-    options: dict[str, Any] = {"level": level, "resamples": resamples}
     try:
         if planned is None:
-            comparisons = compare_all(configurations, rngs["comparisons"], **options)
+            comparisons = compare_all(configurations, rngs["comparisons"], resamples=resamples)
         else:
-            comparisons = compare_pairs(planned, rngs["comparisons"], **options)
+            comparisons = compare_pairs(planned, rngs["comparisons"], resamples=resamples)
     except ValueError as error:
         incomparable = str(error)
     traces = Traces() if group.plane is not None else read_traces(group)
     gaps.extend(traces.gaps)
     return GroupEvidence(
         group=group,
-        summaries=summarise_all(
-            configurations, rngs["summaries"], level=level, resamples=resamples
-        ),
+        summaries=summarise_all(configurations, rngs["summaries"], resamples=resamples),
         comparisons=comparisons,
         incomparable=incomparable,
         sentences=(
-            *map(readable, _sentences(group, comparisons, level)),
+            *_sentences(group, comparisons),
             *(_cut_short(group) or _too_few(comparisons)),
         ),
         traces=traces,
-        level=level,
         resamples=resamples,
     )
 
@@ -180,7 +174,7 @@ def _too_few(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
     if not paired or len(paired) < len(comparisons):
         return ()
     n, tests = max(c.n_a for c in paired), len(paired)
-    fewest = fewest_pairs(1.0 - (1.0 - paired[0].difference.level) / tests)
+    fewest = fewest_pairs(1.0 - (1.0 - LEVEL) / tests)
     if n >= fewest:
         return ()
     corrected = f", corrected for {tests} comparisons," if tests > 1 else ""
@@ -201,11 +195,11 @@ def _cut_short(group: Group) -> tuple[str, ...]:
     )
 
 
-def _sentences(group: Group, comparisons: Sequence[Comparison], level: float) -> tuple[str, ...]:
+def _sentences(group: Group, comparisons: Sequence[Comparison]) -> tuple[str, ...]:
     if group.plane is not None:
-        return plane_sentences(group.configurations, comparisons, group.labels, level)
+        return plane_sentences(group.configurations, comparisons, group.labels, LEVEL)
     if group.crossed is not None and comparisons:
         rows, options = group.crossed.rows, group.crossed.options
         cells = {name: (rows[r], options[o]) for (r, o), name in group.crossed.cells.items()}
         return option_sentences(comparisons, cells)
-    return answer(group.configurations, comparisons, [], labels=group.labels)[:2]
+    return answer(group.configurations, comparisons, labels=group.labels)

@@ -1,32 +1,98 @@
-"""Which configurations stand side by side: those of one experiment, stopped by one rule."""
+"""Which configurations stand side by side, and how they are laid out.
+
+A group is one experiment, stopped by one rule. Its configurations may form a layout: rows crossed
+with options, or a plane of two numbers.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from trl_explore.report.designs import Crossed, Plane, crossed, plane
-from trl_explore.report.labels import (
+import numpy as np
+from numpy.typing import NDArray
+
+from trl_explore.names import (
     EXPERIMENTS,
-    configuration_labels,
-    natural_order,
+    OPTIONS,
+    experiment,
+    experiment_rank,
+    option_label,
+    option_of,
     strategy_label,
-    swept_parameter,
-    swept_parameters,
     symbol,
 )
-from trl_explore.report.loading import Job, Timing
+from trl_explore.report.labels import (
+    configuration_labels,
+    label_parts,
+    natural_order,
+    swept_parameter,
+    swept_parameters,
+)
+from trl_explore.report.loading import Job
 from trl_explore.report.style import Style, option_styles, styles
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.statistics.pairing import configuration_key, deduplicate, pool
+from trl_explore.statistics.pairing import configuration_key, deduplicate, pool, select
 
-GRIDS = ("epsilon_grid", "decay_grid", "temperature_grid")
-ORDER = (
-    "thesis", "corrections", "corrections_temperature", "", "epsilon_grid", "decay_grid",
-    "temperature_grid", "mixture_plane", "baselines", "baselines_batch", "deep_policy",
-    "frozenlake",
-)  # fmt: skip
-"""Of the experiments in a report; those without a place stand at the empty one."""
+THESIS: Mapping[str, float] = {"epsilon": 0.0, "temperature": 1.0}
+"""The thesis's softmax as a point of the family that mixes softmax with chance."""
+PLANE_FROM = 3
+"""Fewest values of either parameter of a plane."""
+
+
+@dataclass(frozen=True)
+class Crossed:
+    """Rows (strategies, temperatures) crossed with the options of one group.
+
+    Attributes:
+        of: the group, ``correction``.
+        rows: what readers call the rows.
+        options: what readers call the options; the first is the one the others are held against.
+        cells: (row, option) -> name of the configuration; some may be missing.
+
+    """
+
+    of: str
+    rows: tuple[str, ...]
+    options: tuple[str, ...]
+    cells: Mapping[tuple[int, int], str]
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """(first option, other option) of every row, as names of configurations."""
+        return [
+            (self.cells[row, 0], name)
+            for (row, option), name in sorted(self.cells.items())
+            if option and (row, 0) in self.cells
+        ]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Values of two numbers, all of one strategy.
+
+    Attributes:
+        x: what readers call the first.
+        y: what readers call the second.
+        xs: its values, ascending.
+        ys: those of the second.
+        cells: (place in xs, place in ys) -> name of the configuration; some may be missing.
+        reference: the configuration of the thesis among them, if there is one.
+
+    """
+
+    x: str
+    y: str
+    xs: tuple[float, ...]
+    ys: tuple[float, ...]
+    cells: Mapping[tuple[int, int], str]
+    reference: str | None
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """(reference, other) for every other point."""
+        if self.reference is None:
+            return []
+        others = (name for _, name in sorted(self.cells.items()) if name != self.reference)
+        return [(self.reference, name) for name in others]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,15 +135,20 @@ class Group:
     @property
     def is_grid(self) -> bool:
         """Whether it is a grid over one parameter, as the thesis has two."""
-        return self.experiment in GRIDS
+        return experiment(self.experiment).grid
 
     def short(self, name: str) -> str:
         """The label of a configuration beside an axis that already names the parameter."""
         return self.labels[name].removeprefix(f"{self.parameter} = ")
 
-    def timing(self, name: str) -> Timing | None:
-        """The trials of a configuration that were timed by themselves; None: not any."""
-        return next((job.timing for job in self.jobs[name] if job.timing is not None), None)
+    def timed(self, c: Outcomes) -> tuple[Outcomes, NDArray[np.float64]]:
+        """The trials of a configuration that were timed by themselves, and their seconds [n]."""
+        timing = next((job.timing for job in self.jobs[c.name] if job.timing is not None), None)
+        first = {int(t): i for i, t in reversed(list(enumerate(c.trial)))}
+        pairs = zip(timing.trial, timing.seconds, strict=True) if timing is not None else ()
+        known = [(first[int(t)], s) for t, s in pairs if int(t) in first]
+        index = np.array([i for i, _ in known], dtype=np.intp)
+        return select(c, index), np.array([s for _, s in known])
 
 
 def group_jobs(jobs: Sequence[Job]) -> list[Group]:
@@ -87,7 +158,7 @@ def group_jobs(jobs: Sequence[Job]) -> list[Group]:
         o = job.outcomes
         rule = (o.experiment, o.cap, o.threshold, o.window, _environment(o), o.judged_by)
         by_rule.setdefault(rule, []).append(job)
-    order = sorted(by_rule, key=lambda rule: (_rank(rule[0]), *map(str, rule)))
+    order = sorted(by_rule, key=lambda rule: (experiment_rank(rule[0]), *map(str, rule)))
     ids = [_id(rule[0]) for rule in order]
     groups = [
         _group(f"{name}-{k}" if ids.count(name) > 1 else name, by_rule[rule])
@@ -107,14 +178,54 @@ def group_jobs(jobs: Sequence[Job]) -> list[Group]:
     return groups
 
 
+def crossed(configurations: Sequence[Outcomes]) -> Crossed | None:
+    """The layout of configurations that differ in the option of one group and in something else."""
+    parts = label_parts(configurations)
+    groups = {key for words in parts.values() for key in words if key in OPTIONS}
+    if len(groups) != 1:
+        return None
+    (of,) = groups
+    rows: dict[str, int] = {}
+    options: dict[str, int] = {}
+    cells: dict[tuple[int, int], str] = {}
+    for c in configurations:
+        words = dict(parts[c.name])
+        option = words.pop(of, "") or option_label(of, option_of(c.config, of))
+        row = rows.setdefault(", ".join(words.values()), len(rows))
+        place = row, options.setdefault(option, len(options))
+        if place in cells:
+            return None
+        cells[place] = c.name
+    if len(rows) < 2 or len(options) < 2:
+        return None
+    return Crossed(of, tuple(rows), tuple(options), cells)
+
+
+def plane(configurations: Sequence[Outcomes]) -> Plane | None:
+    """The layout of configurations that differ in two numbers of their strategy."""
+    keys = swept_parameters(configurations)
+    if len(keys) != 2:
+        return None
+    points: dict[tuple[float, float], str] = {}
+    for c in configurations:
+        values = [c.parameters.get(key) for key in keys]
+        if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+            return None
+        x, y = (float(v) for v in values)  # type: ignore[arg-type]
+        points[x, y] = c.name
+    xs, ys = (tuple(sorted({point[k] for point in points})) for k in (0, 1))
+    if min(len(xs), len(ys)) < PLANE_FROM or len(points) < len(configurations):
+        return None
+    cells = {(xs.index(x), ys.index(y)): name for (x, y), name in points.items()}
+    thesis = [THESIS.get(key, -1.0) for key in keys]
+    reference = points.get((thesis[0], thesis[1]))
+    return Plane(symbol(keys[0]), symbol(keys[1]), xs, ys, cells, reference)
+
+
 def _id(experiment: str) -> str:
     """The name of an experiment as part of a file's name: no path, and of letters that all have."""
     kept = (ch if (ch.isascii() and ch.isalnum()) or ch in "-_" else "-" for ch in experiment)
     return "".join(kept)[:60] or "experiment"
-
-
-def _rank(experiment: str) -> int:
-    return ORDER.index(experiment if experiment in ORDER else "")
 
 
 def _environment(o: Outcomes) -> str:
@@ -168,7 +279,7 @@ def _title(experiment: str, configurations: Sequence[Outcomes]) -> str:
     if experiment == "thesis" and len(strategies) != 5:
         return "The thesis's experiment, in part"
     if experiment in EXPERIMENTS:
-        return EXPERIMENTS[experiment]
+        return EXPERIMENTS[experiment].title
     named = ", ".join(map(strategy_label, strategies[:4])) + (", …" if len(strategies) > 4 else "")
     swept = " and ".join(map(symbol, swept_parameters(configurations)))
     what = f"{named}: values of {swept}" if swept else named

@@ -1,73 +1,13 @@
-"""What things are called in figures and tables: names for readers instead of keys."""
+"""What a configuration is called beside others: its strategy, and what differs between them."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from trl_explore.statistics.choices import NAMES, choice_name
+from trl_explore.names import OPTIONS, STRATEGIES, option_label, strategy_label, symbol
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import AGENT_GROUPS, NO_AGENT
-
-STRATEGIES = {
-    "random": "random",
-    "argmax": "argmax",
-    "epsilon_greedy": "ε-greedy",
-    "decaying_epsilon_greedy": "decaying ε-greedy",
-    "softmax": "softmax",
-    "boltzmann": "Boltzmann",
-    "mixture": "mixture",
-    "max_boltzmann": "max-Boltzmann",
-    "epsilon_softmax": "ε-softmax",
-    "epsilon_z_greedy": "ε-z-greedy",
-    "vdbe": "VDBE",
-    "count_bonus": "count bonus",
-    "parameter_noise": "parameter noise",
-    "gaussian": "Gaussian",
-    "epsilon_uniform": "ε-uniform",
-    "uniform_action": "uniform action",
-    "mean_action": "mean action",
-    "epsilon_mean": "ε-mean",
-}
-SYMBOLS = {
-    "epsilon": "ε", "decay": "decay rate", "temperature": "T", "sigma": "σ", "delta": "δ",
-    "beta": "β",
-}  # fmt: skip
-EXPERIMENTS = {
-    "thesis": "The five strategies",
-    "epsilon_grid": "The choice of ε",
-    "decay_grid": "The choice of the decay rate",
-    "temperature_grid": "The choice of the temperature",
-    "corrections": "Strategies and corrections",
-    "corrections_temperature": "Temperatures and corrections",
-    "baselines": "Baselines",
-    "baselines_batch": "Baselines, with four episodes per update",
-    "mixture_plane": "The plane of ε and temperature",
-    "deep_policy": "Linear and deeper policies",
-    "frozenlake": "FrozenLake",
-    "debug": "A trial of the program",
-}
-
-
-def strategy_label(name: str) -> str:
-    """A strategy as readers call it: ``epsilon_greedy`` is ε-greedy.
-
-    >>> strategy_label("upper_bound")
-    'upper bound'
-    """
-    return STRATEGIES.get(name, name.replace("_", " "))
-
-
-def readable(text: str) -> str:
-    """Text of the analysis with the names of strategies as readers call them, and minus signs.
-
-    >>> readable("softmax minus decaying_epsilon_greedy")
-    'softmax minus decaying ε-greedy'
-    """
-    pattern = rf"\b({'|'.join(STRATEGIES)})\b"
-    text = re.sub(pattern, lambda match: STRATEGIES[match[1]], text)
-    return re.sub(r"(?<![\w.)])-(?=\d)", "−", text)
 
 
 def configuration_labels(configurations: Sequence[Outcomes]) -> dict[str, str]:
@@ -109,12 +49,12 @@ def label_parts(configurations: Sequence[Outcomes]) -> dict[str, dict[str, str]]
 def _words(key: str, flat: Mapping[str, Any]) -> str:
     """One factor of a label: the name of an option, or a parameter and its value."""
     group, value = key.removesuffix("._target_"), flat[key]
-    if key.endswith("._target_") and group in NAMES:
+    if key.endswith("._target_") and group in OPTIONS:
         name = str(value).rsplit(".", 1)[-1]
         if name == "Constant" and flat.get("baseline.value"):
             return f"baseline {_value(flat['baseline.value'])}"
-        if name in NAMES[group]:
-            return choice_name(name, group)
+        if name in OPTIONS[group]:
+            return option_label(group, name)
     return f"{symbol(key)} = {_value(value)}"
 
 
@@ -157,7 +97,7 @@ def _is_group(key: str) -> bool:
 def _rank(key: str, value: Any) -> float:
     if _is_number(value):
         return float(value)
-    names = list(NAMES.get(key.removesuffix("._target_"), ()))
+    names = list(OPTIONS.get(key.removesuffix("._target_"), ()))
     name = str(value).rsplit(".", 1)[-1]
     return float(names.index(name)) if name in names else float(len(names))
 
@@ -204,20 +144,6 @@ def _flat(c: Outcomes) -> dict[str, Any]:
         walk(group, c.config.get(group, {}))
     stopping = {f"env.{key}" for key in NO_AGENT}
     return {k: v for k, v in flat.items() if not k.endswith("_partial_") and k not in stopping}
-
-
-def symbol(key: str) -> str:
-    """What readers call a parameter or a group: ``temperature`` is T.
-
-    >>> symbol("correction._target_")
-    'correction'
-    """
-    last = key.rsplit(".", 1)[-1].strip("_").replace("_", " ")
-    first = key.split(".", 1)[0]
-    parameter = SYMBOLS.get(first, first.replace("_", " "))
-    if key in SYMBOLS or last == "target" or key == "baseline.value":
-        return parameter
-    return f"{last} {parameter}" if first in SYMBOLS else last
 
 
 def _value(value: Any) -> str:

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from trl_explore import jobs as results
 from trl_explore.jobs.columns import ResultsError
-from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.outcomes import Outcomes, convergence_times
 from trl_explore.statistics.pairing import trial_keys
-from trl_explore.statistics.survival import convergence_times
 
 UNFINISHED = "not finished: still running, or interrupted"
 

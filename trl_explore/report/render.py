@@ -1,19 +1,25 @@
-"""A figure as SVG and PNG, the same bytes whenever it is drawn again."""
+"""A figure as SVG, as PNG, and inside the page: the same bytes each time it is drawn."""
 
 from __future__ import annotations
 
 import io
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from html import escape
 
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from trl_explore.report.style import MAP, MAP_INKS, dark_variant
+
 PNG_DPI = 200
+FIXED = frozenset((*MAP, *MAP_INKS))
+"""Colours that stay as they are: those of a map, whose ink is chosen for its cells."""
+_COLOR = re.compile(r"#[0-9a-f]{6}\b")
 _PATH, _LONG = re.compile(r'\bd="[^"]*"'), re.compile(r"-?\d+\.\d{3,}")
 
 
@@ -39,6 +45,35 @@ def to_png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
+def inline_svg(svg: str, name: str, alt: str) -> str:
+    """The drawing as an element of a page, with an alternative text.
+
+    Args:
+        svg: from :func:`to_svg`.
+        name: unique within the page; put before every id.
+        alt: what the figure shows, plain text.
+
+    """
+    body = svg[svg.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.S)
+    body = re.sub(r"<style type=\"text/css\">.*?</style>", "", body, flags=re.S)
+    body = re.sub(r"<!--.*?-->", "", body, flags=re.S)
+    body = re.sub(r'\b(id="|href="#|url\(#)', lambda m: f"{m[1]}{name}-", body)
+    body = re.sub(r'style="([^"]*)"', lambda m: f'style="{_COLOR.sub(_variable, m[1])}"', body)
+    opening = body[: body.index(">") + 1]
+    size = re.search(r'viewBox="[^"]*"', opening)
+    start = f'<svg xmlns:xlink="http://www.w3.org/1999/xlink" {size[0] if size else ""}'
+    return f'{start} role="img" aria-label="{escape(alt)}">{body[len(opening) :].rstrip()}'
+
+
+def theme_css(svgs: Iterable[str]) -> str:
+    """The variables of all colours that the drawings use, for light and for dark screens."""
+    colors = sorted({c for svg in svgs for c in _COLOR.findall(svg)} - FIXED)
+    light = "".join(f"--c{c[1:]}:{c};" for c in colors)
+    dark = "".join(f"--c{c[1:]}:{dark_variant(c)};" for c in colors)
+    return f":root{{{light}}}@media screen and (prefers-color-scheme:dark){{:root{{{dark}}}}}"
+
+
 @contextmanager
 def _any_glyph() -> Iterator[None]:
     """Draw a box, without a word, for a character of a name that the font does not have."""
@@ -50,3 +85,7 @@ def _any_glyph() -> Iterator[None]:
 def _rounded(path: re.Match[str]) -> str:
     """The same path in hundredths of a point, which nobody sees and halves the file."""
     return _LONG.sub(lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), path[0])
+
+
+def _variable(match: re.Match[str]) -> str:
+    return match[0] if match[0] in FIXED else f"var(--c{match[0][1:]})"

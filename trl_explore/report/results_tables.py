@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from trl_explore.report import drawing
 from trl_explore.report.evidence import Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
 from trl_explore.report.tables import Column, Record, Table
@@ -18,13 +17,15 @@ from trl_explore.statistics.power import trials_for_difference
 def summary_table(evidence: GroupEvidence) -> Table:
     """One row per configuration."""
     group = evidence.group
-    timed = drawing.seconds(group)
     records = []
     for c, summary in zip(group.configurations, evidence.summaries, strict=True):
-        shown, seconds = timed(c)
+        seconds = group.timed(c)[1]
         records.append(
             {"configuration": group.labels[c.name], **summary.row()}
-            | {"seconds_mean": float(seconds.mean()) if len(shown) else None, "timed": len(shown)}
+            | {
+                "seconds_mean": float(seconds.mean()) if len(seconds) else None,
+                "timed": len(seconds),
+            }
         )
     columns = [
         Column("configuration", "configuration", lambda r: r["configuration"]),
@@ -49,7 +50,7 @@ def summary_table(evidence: GroupEvidence) -> Table:
 
 def comparison_table(evidence: GroupEvidence) -> Table:
     """One row per pair, with the number of trials that would find its difference."""
-    labels, level = evidence.group.labels, drawing.strict_level(evidence)
+    labels, level = evidence.group.labels, evidence.strict_level
     short = {label: evidence.group.short(name) for name, label in labels.items()}
     by = f" {evidence.group.parameter}" if evidence.group.parameter else ""
     records = []

@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import rgb_to_hsv, to_hex, to_rgb
+
+from trl_explore.names import STRATEGIES
 
 INK, MUTED, GRID, PAPER = "#1c1e21", "#5f6670", "#dfe2e6", "#ffffff"
 MAP = tuple(to_hex(mpl.colormaps["cividis"](k / 20)) for k in range(21))
@@ -22,6 +24,8 @@ MAP = tuple(to_hex(mpl.colormaps["cividis"](k / 20)) for k in range(21))
 with and without every kind of cone see it alike (Nuñez, Anderton & Renslow, PLoS ONE 13, 2018)."""
 MAP_INKS = ("#101214", "#fdfdfe")
 """Of what is written in them."""
+DARK_PAPER, MIN_CONTRAST = "#171a1f", 4.0
+"""The paper of a dark screen, and how far every colour stands out from it."""
 WIDTH = 4.8
 """Of a figure, in inches; on a phone a point of text is then about a pixel."""
 
@@ -42,22 +46,21 @@ _DOT: LineStyle = (0, (1.2, 1.6))
 _DASH_DOT: LineStyle = (0, (5.0, 1.6, 1.2, 1.6))
 _LONG: LineStyle = (0, (9.0, 2.5))
 _DASH_DOT_DOT: LineStyle = (0, (6.0, 1.5, 1.2, 1.5, 1.2, 1.5))
+_NAMED: Mapping[str, LineStyle] = {
+    "solid": "-",
+    "dashes": _DASH,
+    "dots": _DOT,
+    "dash-dot": _DASH_DOT,
+    "long dashes": _LONG,
+    "dash-dot-dot": _DASH_DOT_DOT,
+}
 
 KNOWN: Mapping[str, Style] = {
-    "random": Style("#6b7280", "s", _DOT),
-    "argmax": Style("#d55e00", "^", _DASH_DOT),
-    "epsilon_greedy": Style("#0072b2", "o", _DASH),
-    "decaying_epsilon_greedy": Style("#009e73", "D", _LONG),
-    "softmax": Style("#a8328c", "v", "-"),
-    "boltzmann": Style("#7a1f3d", "v", _DASH),
-    "mixture": Style("#c28100", "P", _DASH_DOT_DOT),
-    "max_boltzmann": Style("#697fea", "X", "-"),
-    "epsilon_softmax": Style("#3f93cc", "<", _DASH),
-    "epsilon_z_greedy": Style("#3b2f8f", "h", _DASH_DOT),
-    "vdbe": Style("#2f9a9a", "p", _LONG),
-    "count_bonus": Style("#8c5b5b", ">", _DOT),
-    "parameter_noise": Style("#678c4d", "d", _DASH_DOT_DOT),
+    name: Style(entry.look[0], entry.look[1], _NAMED[entry.look[2]])
+    for name, entry in STRATEGIES.items()
+    if entry.look is not None
 }
+"""The strategies that look the same in every report."""
 FURTHER: Sequence[Style] = (
     Style("#6b3410", "P", "-"),
     Style("#0891ad", "X", _DASH),
@@ -188,3 +191,39 @@ def visual_language() -> Iterator[None]:
         for name, value in _SETTINGS.items():
             mpl.rcParams[name] = value  # type: ignore[index]
         yield
+
+
+def dark_variant(color: str) -> str:
+    """The colour for dark paper: greys change places, hues grow lighter until they stand out.
+
+    >>> dark_variant("#ffffff") == DARK_PAPER
+    True
+    """
+    rgb = to_rgb(color)
+    if rgb_to_hsv(rgb)[1] < 0.2:
+        grey = sum(rgb) / 3
+        paper, ink = to_rgb(DARK_PAPER), 0.93
+        return to_hex([ink + (p - ink) * grey for p in paper])  # type: ignore[arg-type]
+    step = 0
+    while contrast(to_hex(rgb), DARK_PAPER) < MIN_CONTRAST and step < 40:
+        red, green, blue = (c + (1.0 - c) * 0.06 for c in rgb)
+        rgb = (red, green, blue)
+        step += 1
+    return to_hex(rgb)
+
+
+def contrast(a: str, b: str) -> float:
+    """Contrast ratio of two colours, 1 to 21.
+
+    Source: Web Content Accessibility Guidelines 2.2, relative luminance.
+
+    >>> round(contrast("#000000", "#ffffff"), 1)
+    21.0
+    """
+    high, low = sorted((_luminance(a), _luminance(b)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def _luminance(color: str) -> float:
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(color)]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

@@ -1,4 +1,4 @@
-"""A table once, written as HTML, CSV, LaTeX and Markdown: the same numbers in all of them."""
+"""A table once, written as CSV, LaTeX and Markdown; the template of the page writes it as HTML."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
+
+import pandas as pd
 
 Record = Mapping[str, Any]
 
@@ -27,6 +29,15 @@ class Column:
     numeric: bool = False
     wide: bool = False
     css: Callable[[Record], str] | None = None
+
+    def classes(self, record: Record) -> str:
+        """The classes of a cell in the page."""
+        extra = self.css(record) if self.css else ""
+        return " ".join(w for w in ("num" * self.numeric, "wide" * self.wide, extra) if w)
+
+    def value(self, record: Record) -> str:
+        """The value that a cell of the page is sorted by."""
+        return plain(record.get(self.key))
 
 
 @dataclass(frozen=True)
@@ -49,37 +60,19 @@ class Table:
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerow(keys)
-        writer.writerows([[_plain(record.get(key)) for key in keys] for record in self.records])
+        writer.writerows([[plain(record.get(key)) for key in keys] for record in self.records])
         return buffer.getvalue()
 
-    def to_html(self) -> str:
-        """A table that scrolls sideways by itself; each cell carries the value it is sorted by."""
-        head = "".join(
-            f'<th scope="col"{_class("num" if c.numeric else "")}>{escape(c.title)}</th>'
-            for c in self.columns
-        )
-        body = "".join(f"<tr>{''.join(map(self._cell, self.columns, [r] * len(self.columns)))}</tr>"
-                       for r in self.records)  # fmt: skip
-        return (
-            f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(self.title)}">'
-            f'<table class="{f"sortable {self.kind}".strip()}" id="{escape(self.id)}">'
-            f"<caption>{escape(self.title)}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
-        )
-
-    def _cell(self, column: Column, record: Record) -> str:
-        text = escape(column.text(record)).replace("\n", "<br>")
-        extra = column.css(record) if column.css else ""
-        words = " ".join(w for w in ("num" * column.numeric, "wide" * column.wide, extra) if w)
-        value = escape(_plain(record.get(column.key)))
-        label = escape(column.title)
-        return f'<td{_class(words)} data-value="{value}" data-label="{label}">{text}</td>'
+    def rows(self) -> list[list[str]]:
+        """What readers see."""
+        return [[column.text(record) for column in self.columns] for record in self.records]
 
     def to_markdown(self) -> str:
         """A pipe table."""
         lines = [
             [_markdown(c.title) for c in self.columns],
             ["---:" if c.numeric else "---" for c in self.columns],
-            *([_markdown(c.text(r)) for c in self.columns] for r in self.records),
+            *([_markdown(text) for text in row] for row in self.rows()),
         ]
         return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
@@ -88,21 +81,15 @@ class Table:
         align = "".join(
             "p{0.22\\linewidth}" if c.wide else "r" if c.numeric else "l" for c in self.columns
         )
-        rows = [" & ".join(_latex(c.text(r)) for c in self.columns) for r in self.records]
-        head = " & ".join(_latex(c.title) for c in self.columns)
-        body = "".join(f"{row} \\\\\n" for row in rows)
-        return (
-            f"% {_latex(self.title)}\n"
-            f"\\begin{{tabular}}{{{align}}}\n\\toprule\n{head} \\\\\n\\midrule\n"
-            f"{body}\\bottomrule\n\\end{{tabular}}\n"
+        frame = pd.DataFrame(
+            [[_latex(text) for text in row] for row in self.rows()],
+            columns=[_latex(c.title) for c in self.columns],
         )
+        body = frame.to_latex(index=False, escape=False, column_format=align)
+        return f"% {_latex(self.title)}\n{body}"
 
 
-def _class(words: str) -> str:
-    return f' class="{words}"' if words else ""
-
-
-def _plain(value: Any) -> str:
+def plain(value: Any) -> str:
     """A value for a machine: floats in full, nothing for None, words for booleans."""
     if value is None:
         return ""

@@ -1,18 +1,17 @@
-"""Statistics of trials: pure functions, arrays in, arrays or small records out.
+"""Statistics of trials: a library of pure functions, arrays in, estimates out.
 
-``outcomes``    what one configuration measured (the input of everything here)
-``estimates``   a number with its interval
-``bootstrap``   percentile bootstrap over trials; random streams by label
-``proportions`` pass rate
-``survival``    time to convergence: Kaplan-Meier, median, restricted mean, running time
-``scores``      final score
-``summary``     all of these for one configuration
-``pairing``     same seed and trial: pairs, pooling, trials counted twice
-``differences`` difference of two means; ``permutation`` its tests
-``rank_tests``  log-rank test, probability of being faster
-``comparisons`` two configurations, and all pairs with Holm's correction
-``choices``     which correction, baseline or policy, and what readers call it
-``effects``     what options do to rows, and a plane of numbers, in sentences
-``power``       how many trials a difference needs
-``claims``      the statements of the thesis, decided; ``answer`` all of it in three sentences
+``estimates``    a number with its interval; a proportion with Wilson's
+``bootstrap``    percentile bootstrap over trials; random streams by label
+``permutation``  permutation tests of two means, paired and unpaired
+``survival``     right-censored times: Kaplan-Meier, median, restricted mean, running time, log-rank
+``outcomes``     what one configuration measured; its times to convergence
+``pairing``      same seed and trial: pairs, pooling, trials counted twice
+``summary``      all estimates of one configuration
+``comparisons``  difference of two means; two configurations; all pairs with Holm's correction
+``power``        how many trials a difference needs
+``choices``      which correction, baseline or policy, and what readers call it
+
+In all of them ``rng`` is the source of the resampling, ``level`` the confidence level of every
+interval, and ``resamples`` the number of resamples of each bootstrap and of each test. ValueError
+is raised for a level outside (0, 1) and for samples that are empty or of unequal lengths.
 """

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import stats
 
 from trl_explore.statistics.estimates import LEVEL, Estimate, check_level
 
@@ -32,6 +34,9 @@ def bootstrap(
     The quantiles are rounded outwards to order statistics, so that infinite resamples (no
     trial converged) stay infinite instead of becoming NaN.
 
+    Bounds are NaN where a sample has fewer than two trials or a resample has no defined statistic.
+    A sample without variance gives an interval without width.
+
     Args:
         statistic: takes the samples with trials in the last axis, reduces that axis.
         samples: arrays [n_i].
@@ -39,11 +44,6 @@ def bootstrap(
         paired: draw the same trials from every sample (all n_i equal).
         level: confidence level.
         resamples: B.
-
-    Returns:
-        The statistic with its interval, in the unit of the statistic. Bounds are NaN where a
-        sample has fewer than two trials or a resample has no defined statistic. A sample
-        without variance gives an interval without width.
 
     Raises:
         ValueError: no sample, an empty one, unequal lengths with ``paired``, B < 1.
@@ -66,18 +66,29 @@ def bootstrap(
     value = float(statistic(*arrays))
     if min(sizes) < 2:
         return Estimate(value, np.nan, np.nan, level)
-    drawn = np.concatenate(
-        [
-            np.asarray(statistic(*_resample(arrays, rng, rows, paired)), dtype=np.float64)
-            for rows in _batches(resamples, max(sizes))
-        ]
-    )
+    with warnings.catch_warnings(), np.errstate(invalid="ignore"):
+        # SciPy's own interval interpolates, so that inf becomes NaN. Only its draws are used.
+        warnings.simplefilter("ignore")
+        result = stats.bootstrap(
+            arrays,
+            lambda *drawn, axis: statistic(*drawn),
+            paired=paired,
+            n_resamples=resamples,
+            batch=max(1, BATCH // max(sizes)),
+            method="percentile",
+            rng=rng,
+        )
+    drawn = np.sort(result.bootstrap_distribution)
     if np.isnan(drawn).any():
         return Estimate(value, np.nan, np.nan, level)
-    drawn.sort()
     tail = (1.0 - level) / 2.0 * (resamples - 1)
     low, high = drawn[int(np.floor(tail))], drawn[resamples - 1 - int(np.floor(tail))]
     return Estimate(value, float(low), float(high), level)
+
+
+def mean(x: NDArray[np.float64]) -> Any:
+    """x̄ over the last axis, for :func:`bootstrap`."""
+    return x.mean(axis=-1)
 
 
 def streams(rng: np.random.Generator, labels: Iterable[str]) -> dict[str, np.random.Generator]:
@@ -95,18 +106,3 @@ def streams(rng: np.random.Generator, labels: Iterable[str]) -> dict[str, np.ran
         label: np.random.default_rng(np.random.SeedSequence([root, zlib.crc32(label.encode())]))
         for label in labels
     }
-
-
-def _batches(resamples: int, size: int) -> list[int]:
-    rows = max(1, BATCH // size)
-    whole, rest = divmod(resamples, rows)
-    return [rows] * whole + ([rest] if rest else [])
-
-
-def _resample(
-    arrays: Sequence[NDArray[Any]], rng: np.random.Generator, rows: int, paired: bool
-) -> list[NDArray[Any]]:
-    if paired:
-        index = rng.integers(len(arrays[0]), size=(rows, len(arrays[0])))
-        return [array[index] for array in arrays]
-    return [array[rng.integers(len(array), size=(rows, len(array)))] for array in arrays]

@@ -52,12 +52,7 @@ def configuration_key(outcomes: Outcomes) -> str:
 
 
 def trial_keys(outcomes: Outcomes) -> list[tuple[int, int]]:
-    """(seed, trial) of every trial, in order.
-
-    Raises:
-        ValueError: the same (seed, trial) occurs twice.
-
-    """
+    """(seed, trial) of every trial, in order; ValueError where one occurs twice."""
     keys = list(zip(outcomes.seed.tolist(), outcomes.trial.tolist(), strict=True))
     if len(set(keys)) < len(keys):
         twice = next(key for i, key in enumerate(keys) if key in keys[:i])
@@ -67,9 +62,19 @@ def trial_keys(outcomes: Outcomes) -> list[tuple[int, int]]:
 
 def pair_indices(a: Outcomes, b: Outcomes) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Positions in ``a`` and in ``b`` of the trials (seed, trial) that both have, [n_pairs]."""
-    keys_a = trial_keys(a)
-    where_b = {key: j for j, key in enumerate(trial_keys(b))}
-    pairs = [(i, where_b[key]) for i, key in enumerate(keys_a) if key in where_b]
+    return common(trial_keys(a), trial_keys(b))
+
+
+def common(
+    a: Sequence[tuple[int, int]], b: Sequence[tuple[int, int]]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Positions in ``a`` and in ``b`` of the keys that both have, in the order of ``a``.
+
+    >>> [index.tolist() for index in common([(0, 7), (0, 8)], [(0, 9), (0, 8)])]
+    [[1], [1]]
+    """
+    where_b = {key: j for j, key in enumerate(b)}
+    pairs = [(i, where_b[key]) for i, key in enumerate(a) if key in where_b]
     index = np.array(pairs, dtype=np.intp).reshape(-1, 2)
     return index[:, 0], index[:, 1]
 

@@ -1,9 +1,15 @@
-"""Permutation tests of the difference of two means: sign flips (paired), labels (unpaired)."""
+"""Permutation tests of the difference of two means: sign flips (paired), labels (unpaired).
+
+``scipy.stats.permutation_test`` differs in what is reported: it draws other permutations from the
+same seed, doubles the smaller one-sided p, and knows no bound for the tail.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import combinations, product
 from math import comb, exp
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,9 +40,6 @@ def sign_flip_test(
         tail: return that bound where no draw hits and it is smaller. The test stays valid: the
             exact p is below the bound, and nothing changes at levels from 1 / (1 + resamples) up.
 
-    Returns:
-        p in (0, 1]; 1 when every difference is zero.
-
     Raises:
         ValueError: no pair, or a difference that is not finite.
 
@@ -55,14 +58,13 @@ def sign_flip_test(
     if 2**n <= resamples:
         signs = np.array(list(product((-1.0, 1.0), repeat=n)))
         return float(np.mean(np.abs(signs @ d) >= least))
-    hits = 0
-    rows = max(1, BATCH // n)
-    for start in range(0, resamples, rows):
-        flips = rng.integers(2, size=(min(rows, resamples - start), n), dtype=np.int8)
-        hits += int(np.count_nonzero(np.abs(d.sum() - 2.0 * (flips @ d)) >= least))
-    if tail and not hits:
-        return min(1 / (1 + resamples), _hoeffding(d.sum() ** 2 / (2.0 * (d @ d))))
-    return (1 + hits) / (1 + resamples)
+
+    def draw(rows: int) -> NDArray[np.float64]:
+        flips = rng.integers(2, size=(rows, n), dtype=np.int8)
+        return d.sum() - 2.0 * (flips @ d)
+
+    bound = (d.sum() ** 2, 2.0 * (d @ d)) if tail else None
+    return _monte_carlo(draw, n, least, resamples, bound)
 
 
 def label_permutation_test(
@@ -80,17 +82,7 @@ def label_permutation_test(
     Exact by enumeration where the number of relabellings is at most ``resamples``; otherwise
     Monte Carlo as in :func:`sign_flip_test`. For independent trials; pairs need the sign flips.
     Hoeffding's bound is here p ≤ 2 exp(-2 (Σ x_i - n_x m)² / n (max - min)²), m the mean and
-    max - min the range of all values, n the smaller of n_x and n_y.
-
-    Args:
-        x: first sample [n_x].
-        y: second sample [n_y].
-        rng: source of the relabellings (unused where the test is exact).
-        resamples: number of random relabellings.
-        tail: as in :func:`sign_flip_test`.
-
-    Returns:
-        p in (0, 1]; 1 when all values are equal.
+    max - min the range of all values, n the smaller of n_x and n_y. ``tail`` is as there.
 
     Raises:
         ValueError: an empty sample, or a value that is not finite.
@@ -102,9 +94,7 @@ def label_permutation_test(
     2.0
 
     """
-    a, b = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    if min(a.size, b.size) == 0 or not (np.isfinite(a).all() and np.isfinite(b).all()):
-        raise ValueError(f"samples of {a.size} and {b.size}: each needs one value, all finite")
+    a, b = two_samples(x, y)
     pooled = np.concatenate([a, b])
     # With the total fixed, the difference of means is a linear function of the sum of x alone.
     expected = pooled.sum() * len(a) / len(pooled)
@@ -113,21 +103,43 @@ def label_permutation_test(
     if comb(n, len(a)) <= resamples:
         chosen = np.array(list(combinations(range(n), len(a))))
         return float(np.mean(np.abs(pooled[chosen].sum(axis=1) - expected) >= least))
-    hits = 0
-    rows = max(1, BATCH // n)
-    for start in range(0, resamples, rows):
-        order = np.tile(pooled, (min(rows, resamples - start), 1))
+
+    def draw(rows: int) -> NDArray[np.float64]:
+        order = np.tile(pooled, (rows, 1))
         rng.permuted(order, axis=1, out=order)
-        hits += int(np.count_nonzero(np.abs(order[:, : len(a)].sum(1) - expected) >= least))
-    if tail and not hits:
-        spread = min(len(a), len(b)) * np.ptp(pooled) ** 2
-        return min(1 / (1 + resamples), _hoeffding(2.0 * (a.sum() - expected) ** 2 / spread))
-    return (1 + hits) / (1 + resamples)
+        return order[:, : len(a)].sum(1) - expected
+
+    spread = min(len(a), len(b)) * np.ptp(pooled) ** 2
+    bound = (2.0 * (a.sum() - expected) ** 2, spread) if tail else None
+    return _monte_carlo(draw, n, least, resamples, bound)
 
 
-def _hoeffding(exponent: float) -> float:
-    # Never 0: e^-700 is a number yet, and small enough for every correction.
-    return 2.0 * exp(-min(float(exponent), 700.0))
+def two_samples(x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Two samples [n_x], [n_y] as arrays; ValueError if one is empty or not finite."""
+    a, b = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    if min(a.size, b.size) == 0 or not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise ValueError(f"samples of {a.size} and {b.size}: each needs one value, all finite")
+    return a, b
+
+
+def _monte_carlo(
+    draw: Callable[[int], NDArray[np.float64]],
+    n: int,
+    least: float,
+    resamples: int,
+    bound: tuple[Any, Any] | None,
+) -> float:
+    """(1 + #{|drawn| ≥ least}) / (1 + resamples); without a hit 2 exp(-u / v), where smaller."""
+    rows = max(1, BATCH // n)
+    hits = sum(
+        int(np.count_nonzero(np.abs(draw(min(rows, resamples - start))) >= least))
+        for start in range(0, resamples, rows)
+    )
+    p = (1 + hits) / (1 + resamples)
+    if hits or bound is None:
+        return p
+    # Never 0: e^-700 is still a number, and small enough for every correction.
+    return min(p, 2.0 * exp(-min(float(bound[0] / bound[1]), 700.0)))
 
 
 def _tolerated(observed: float, values: NDArray[np.float64]) -> float:

@@ -1,19 +1,20 @@
 """Sample size: which difference n trials would find, and how many trials a difference needs.
 
-All by the normal approximation. ``sd`` is the standard deviation of one pair's difference
+All by the normal approximation. ``sd`` ≥ 0 is the standard deviation of one pair's difference
 (``Comparison.sd``); for unpaired trials √(s_a² + s_b²) with n trials in each configuration.
+``power`` is the probability to find the difference, ``level`` 1 - α of the two-sided test; both lie
+in (0, 1), else ValueError.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from trl_explore.statistics.estimates import LEVEL, check_level
+from trl_explore.statistics.estimates import LEVEL, check_level, normal_quantile
 
 POWER = 0.80
 # Beyond this a number of trials is no advice but a sign that the difference is nil.
@@ -25,17 +26,10 @@ def detectable_difference(
 ) -> NDArray[np.float64]:
     """Smallest difference of means found with the given power: δ = (z_{1-α/2} + z_power) sd / √n.
 
-    Args:
-        sd: of a pair's difference, ≥ 0, any unit.
-        n: number of pairs, any shape.
-        power: probability to find it.
-        level: 1 - α of the two-sided test.
-
-    Returns:
-        δ in the unit of ``sd``, shape of ``n``.
+    δ has the unit of ``sd`` and the shape of ``n``, the number of pairs.
 
     Raises:
-        ValueError: n < 1, sd < 0, power or level outside (0, 1).
+        ValueError: n < 1 or sd < 0.
 
     Source: Lachin, Controlled Clinical Trials 2 (1981).
 
@@ -46,7 +40,7 @@ def detectable_difference(
     n_pairs = np.asarray(n, dtype=np.float64)
     if (n_pairs < 1).any() or not sd >= 0:
         raise ValueError(f"n={n}, sd={sd}: n ≥ 1 and sd ≥ 0 are needed")
-    return np.asarray(_z_sum(power, level) * sd / np.sqrt(n_pairs))
+    return np.asarray(sum(_z(power, level)) * sd / np.sqrt(n_pairs))
 
 
 def trials_for_difference(
@@ -54,19 +48,8 @@ def trials_for_difference(
 ) -> int | None:
     """Pairs needed to find a difference of means: n = ⌈((z_{1-α/2} + z_power) sd / δ)²⌉.
 
-    At least :func:`fewest_pairs`, below which a permutation test finds nothing.
-
-    Args:
-        sd: of a pair's difference, ≥ 0.
-        difference: δ, same unit; its sign does not matter.
-        power: probability to find it.
-        level: 1 - α of the two-sided test.
-
-    Returns:
-        n; None where no number of trials (up to 10⁸) would do: δ = 0, or not known (NaN).
-
-    Raises:
-        ValueError: power or level outside (0, 1).
+    At least :func:`fewest_pairs`, below which a permutation test finds nothing. None where no
+    number of trials (up to 10⁸) would do: the ``difference`` δ is 0 or not known (NaN).
 
     Source: Lachin, Controlled Clinical Trials 2 (1981).
 
@@ -74,7 +57,7 @@ def trials_for_difference(
     32
 
     """
-    z = _z_sum(power, level)
+    z = sum(_z(power, level))
     if not (math.isfinite(sd) and math.isfinite(difference)) or difference == 0:
         return None
     n = _whole((z * sd / difference) ** 2)
@@ -87,71 +70,11 @@ def fewest_pairs(level: float = LEVEL) -> int:
     The smallest p of a two-sided sign-flip test of n pairs is 2 / 2^n: all differences have one
     sign.
 
-    Args:
-        level: 1 - α of the two-sided test.
-
-    Raises:
-        ValueError: level outside (0, 1).
-
     >>> fewest_pairs(0.95), fewest_pairs(1 - 0.05 / 10)
     (6, 9)
-
     """
     check_level(level)
     return math.ceil(1.0 - math.log2(1.0 - level) - 1e-9)
-
-
-def detectable_rate_difference(
-    rate: float, n: ArrayLike, *, power: float = POWER, level: float = LEVEL
-) -> NDArray[np.float64]:
-    """Smallest change of a pass rate that two independent samples of n trials would show.
-
-    δ = (z_{1-α/2} + z_power) √(2 p (1 - p) / n), both variances taken at p: for rates away
-    from 0 and 1, where one of the two decides.
-
-    Args:
-        rate: p in [0, 1].
-        n: trials in each configuration, any shape.
-        power: probability to find it.
-        level: 1 - α of the two-sided test.
-
-    Returns:
-        δ, a difference of proportions, shape of ``n``.
-
-    >>> round(float(detectable_rate_difference(0.5, 100)), 3)
-    0.198
-
-    """
-    _check_rate(rate)
-    return detectable_difference(math.sqrt(2 * rate * (1 - rate)), n, power=power, level=level)
-
-
-def trials_for_rates(
-    rate_a: float, rate_b: float, *, power: float = POWER, level: float = LEVEL
-) -> int | None:
-    """Trials in each of two independent configurations to tell their pass rates apart.
-
-    n = ⌈(z_{1-α/2} √(2 p̄(1-p̄)) + z_power √(p_a(1-p_a) + p_b(1-p_b)))² / (p_a - p_b)²⌉
-
-    Returns:
-        n; None where the rates are equal.
-
-    Raises:
-        ValueError: a rate outside [0, 1]; power or level outside (0, 1).
-
-    Source: Fleiss, Levin & Paik, Statistical Methods for Rates and Proportions (2003), §4.2.
-
-    >>> trials_for_rates(0.95, 0.98)
-    588
-
-    """
-    _check_rate(rate_a)
-    _check_rate(rate_b)
-    z_level, z_power = _z(power, level)
-    mean = (rate_a + rate_b) / 2
-    separate = rate_a * (1 - rate_a) + rate_b * (1 - rate_b)
-    z_sd = z_level * math.sqrt(2 * mean * (1 - mean)) + z_power * math.sqrt(separate)
-    return None if rate_a == rate_b else _whole((z_sd / (rate_a - rate_b)) ** 2)
 
 
 def trials_for_rate_bound(
@@ -160,22 +83,21 @@ def trials_for_rate_bound(
     """Trials after which Wilson's interval around ``rate`` would exclude ``bound``.
 
     n = ⌈(z_{1-α/2} √(p₀(1-p₀)) + z_power √(p(1-p)))² / (p - p₀)²⌉ for p₀ = bound. At p = 0
-    (or 1) the second term is nil: the first n at which an unbroken row settles the question.
-
-    Returns:
-        n; None where ``rate`` equals ``bound``.
+    (or 1) the second term is nil: the first n at which an unbroken row settles the question. None
+    where ``rate`` equals ``bound``.
 
     Raises:
-        ValueError: a rate outside [0, 1]; power or level outside (0, 1).
+        ValueError: a rate outside [0, 1].
 
-    Source: Fleiss, Levin & Paik (2003), §2.5.
+    Source: Fleiss, Levin & Paik, Statistical Methods for Rates and Proportions (2003), §2.5.
 
     >>> trials_for_rate_bound(0.0, 0.05)
     73
 
     """
-    _check_rate(rate)
-    _check_rate(bound)
+    for p in (rate, bound):
+        if not 0.0 <= p <= 1.0:
+            raise ValueError(f"rate={p}: a proportion lies in [0, 1]")
     z_level, z_power = _z(power, level)
     z_sd = z_level * math.sqrt(bound * (1 - bound)) + z_power * math.sqrt(rate * (1 - rate))
     return None if rate == bound else _whole((z_sd / (rate - bound)) ** 2)
@@ -190,14 +112,4 @@ def _z(power: float, level: float) -> tuple[float, float]:
     check_level(level)
     if not 0.0 < power < 1.0:
         raise ValueError(f"power={power}: a power lies in (0, 1), for example 0.8")
-    quantile: Any = stats.norm.ppf
-    return float(quantile((1 + level) / 2)), float(quantile(power))
-
-
-def _z_sum(power: float, level: float) -> float:
-    return sum(_z(power, level))
-
-
-def _check_rate(rate: float) -> None:
-    if not 0.0 <= rate <= 1.0:
-        raise ValueError(f"rate={rate}: a proportion lies in [0, 1]")
+    return normal_quantile(level), float(stats.norm.ppf(power))

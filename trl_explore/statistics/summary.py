@@ -1,4 +1,4 @@
-"""Everything measured about one configuration, as one row."""
+"""Everything measured about one configuration, as one row; the final score's distribution."""
 
 from __future__ import annotations
 
@@ -7,19 +7,82 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
 
-from trl_explore.statistics.bootstrap import RESAMPLES, bootstrap, streams
-from trl_explore.statistics.estimates import LEVEL, Estimate
-from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.statistics.proportions import pass_rate
-from trl_explore.statistics.scores import ScoreSummary, summarise_scores
+from trl_explore.statistics.bootstrap import RESAMPLES, bootstrap, mean, streams
+from trl_explore.statistics.estimates import LEVEL, Estimate, flat, pass_rate
+from trl_explore.statistics.outcomes import Outcomes, convergence_times
 from trl_explore.statistics.survival import (
-    convergence_times,
     expected_running_time,
     kaplan_meier,
     median_time,
     restricted_mean,
 )
+
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreSummary:
+    """Distribution of the final score of one configuration.
+
+    Attributes:
+        n: trials with a finite score.
+        missing: trials without one (diverged before they had a score); not in the statistics.
+        mean: mean with bootstrap interval.
+        iqm: interquartile mean with bootstrap interval.
+        sd: standard deviation (n - 1); NaN for one trial.
+        quantiles: at the probabilities ``QUANTILES``, linear interpolation [5].
+
+    """
+
+    n: int
+    missing: int
+    mean: Estimate
+    iqm: Estimate
+    sd: float
+    quantiles: NDArray[np.float64]
+
+
+def interquartile_mean(scores: ArrayLike) -> Any:
+    """Mean of the middle half: ⌊n/4⌋ values are cut from each end of the last axis.
+
+    Source: Agarwal et al., Deep RL at the Edge of the Statistical Precipice (2021), §4.3.
+
+    >>> float(interquartile_mean([0.0, 2.0, 4.0, 1000.0]))
+    3.0
+
+    """
+    return stats.trim_mean(np.asarray(scores, dtype=np.float64), 0.25, axis=-1)
+
+
+def summarise_scores(
+    scores: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    level: float = LEVEL,
+    resamples: int = RESAMPLES,
+) -> ScoreSummary:
+    """Mean, interquartile mean and quantiles of the final scores [n], NaN where a trial has none.
+
+    >>> summarise_scores([1.0, 2.0, 3.0, 4.0], np.random.default_rng(0)).iqm.value
+    2.5
+    """
+    values = np.asarray(scores, dtype=np.float64)
+    finite = values[np.isfinite(values)]
+    missing = len(values) - len(finite)
+    if len(finite) == 0:
+        nothing = Estimate(np.nan, np.nan, np.nan, level)
+        return ScoreSummary(0, missing, nothing, nothing, np.nan, np.full(5, np.nan))
+    return ScoreSummary(
+        n=len(finite),
+        missing=missing,
+        mean=bootstrap(mean, [finite], rng, level=level, resamples=resamples),
+        iqm=bootstrap(interquartile_mean, [finite], rng, level=level, resamples=resamples),
+        sd=float(finite.std(ddof=1)) if len(finite) > 1 else np.nan,
+        quantiles=np.quantile(finite, QUANTILES),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,26 +132,16 @@ class Summary:
         """Flat dictionary for a table; each estimate as ``x``, ``x_low``, ``x_high``."""
         row: dict[str, Any] = {
             key: getattr(self, key)
-            for key in ("experiment", "name", "strategy", "n", "converged", "diverged", "cap")
-        }
-        for key, estimate in {
-            "pass_rate": self.pass_rate,
-            "median": self.median,
-            "restricted_mean": (self.restricted_mean, self.restricted_mean_se),
-            "expected_running_time": self.expected_running_time,
-            "score_mean": self.score.mean,
-            "score_iqm": self.score.iqm,
-            "frames_median": self.frames_median,
-            "frames_mean": self.frames_mean,
-        }.items():
-            if isinstance(estimate, Estimate):
-                row[key] = estimate.value
-                row[f"{key}_low"], row[f"{key}_high"] = estimate.low, estimate.high
-            else:
-                row[key], row[f"{key}_se"] = estimate
-        for p, q in zip(self.score.levels, self.score.quantiles, strict=True):
+            for key in (
+                "experiment", "name", "strategy", "n", "converged", "diverged", "cap", "pass_rate",
+                "median", "restricted_mean", "restricted_mean_se", "expected_running_time",
+            )
+        }  # fmt: skip
+        row |= {"score_mean": self.score.mean, "score_iqm": self.score.iqm}
+        row |= {"frames_median": self.frames_median, "frames_mean": self.frames_mean}
+        for p, q in zip(QUANTILES, self.score.quantiles, strict=True):
             row[f"score_q{round(100 * p):02d}"] = float(q)
-        return row | {"frames_total": self.frames_total}
+        return flat(row) | {"frames_total": self.frames_total}
 
 
 def summarise(
@@ -100,19 +153,13 @@ def summarise(
 ) -> Summary:
     """All statistics of one configuration; each is defined where it is computed.
 
-    Args:
-        outcomes: the configuration [n_trials].
-        rng: source of the bootstraps.
-        level: confidence level of every interval.
-        resamples: of every bootstrap.
-
     Raises:
         ValueError: no trials, or an unfinished job (see ``convergence_times``).
 
     """
     durations, converged = convergence_times(outcomes)
-    mean, error = restricted_mean(durations, converged, outcomes.cap)
-    frames = [outcomes.frames.astype(np.float64)]
+    restricted, error = restricted_mean(durations, converged, outcomes.cap)
+    frames = outcomes.frames.astype(np.float64)
     return Summary(
         name=outcomes.name,
         experiment=outcomes.experiment,
@@ -124,7 +171,7 @@ def summarise(
         cap=outcomes.cap,
         pass_rate=pass_rate(int(converged.sum()), len(outcomes), level=level),
         median=median_time(kaplan_meier(durations, converged, level=level)),
-        restricted_mean=mean,
+        restricted_mean=restricted,
         restricted_mean_se=error,
         expected_running_time=expected_running_time(
             durations, converged, rng, level=level, resamples=resamples
@@ -133,9 +180,7 @@ def summarise(
         frames_median=median_time(
             kaplan_meier(*convergence_times(outcomes, "frames"), level=level)
         ),
-        frames_mean=bootstrap(
-            lambda x: x.mean(axis=-1), frames, rng, level=level, resamples=resamples
-        ),
+        frames_mean=bootstrap(mean, [frames], rng, level=level, resamples=resamples),
         frames_total=int(outcomes.frames.sum()),
     )
 

@@ -1,7 +1,15 @@
-"""Time to convergence as right-censored data: curve, median, restricted mean, running time."""
+"""Right-censored times to convergence.
+
+Kaplan-Meier curve, median, restricted mean, expected running time; of two samples, the log-rank
+test and the probability that one is faster.
+
+A sample is ``durations`` [n], the times to convergence or censoring, positive and in any unit, and
+``converged`` [n], whether the trial converged.
+"""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,9 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from trl_explore.statistics.bootstrap import RESAMPLES, bootstrap
-from trl_explore.statistics.estimates import LEVEL, Estimate, check_level
-from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.statistics.proportions import pass_rate
+from trl_explore.statistics.estimates import (
+    LEVEL,
+    Estimate,
+    check_level,
+    normal_quantile,
+    pass_rate,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,51 +62,6 @@ class SurvivalCurve:
         return np.where(t > self.times[-1], np.nan, self.survival[index])
 
 
-def convergence_times(
-    outcomes: Outcomes, unit: str = "iterations"
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Durations and event indicators of a configuration, ready for :func:`kaplan_meier`.
-
-    In iterations, a trial that did not converge is censored at the cap. In frames the cap is
-    met after different numbers of frames, early by trials that score badly, so that censoring
-    there would be informative and Kaplan-Meier too optimistic. Failed trials therefore stay
-    at risk until the largest number of frames of any trial: Ŝ is then one minus the cumulative
-    incidence of convergence with giving up as a competing event (Aalen-Johansen).
-
-    Args:
-        outcomes: one configuration.
-        unit: ``iterations`` or ``frames``.
-
-    Returns:
-        durations [n] in the unit, converged [n].
-
-    Raises:
-        ValueError: another unit; a configuration without trials; a trial that converged after
-            the cap, or stopped before it without converging or diverging (unfinished job).
-
-    Source: Putter, Fiocco & Geskus, Statistics in Medicine 26 (2007), §3.
-
-    """
-    if unit not in ("iterations", "frames"):
-        raise ValueError(f"unit={unit!r}: iterations or frames are possible")
-    if len(outcomes) == 0:
-        raise ValueError(f"{outcomes.name}: a configuration without trials")
-    converged = np.asarray(outcomes.converged, dtype=bool)
-    durations = outcomes.durations.astype(np.float64)
-    wrong = np.where(converged, durations > outcomes.cap, durations != outcomes.cap)
-    if wrong.any():
-        i = int(np.argmax(wrong))
-        how = "converged" if converged[i] else "stopped unconverged"
-        raise ValueError(
-            f"{outcomes.name}: trial {outcomes.trial[i]} {how} after {durations[i]:.0f} iterations,"
-            f" which a finished job with cap {outcomes.cap} cannot contain"
-        )
-    if unit == "frames":
-        frames = outcomes.frames.astype(np.float64)
-        durations = np.where(converged, frames, frames.max())
-    return durations, converged
-
-
 def kaplan_meier(
     durations: ArrayLike, converged: ArrayLike, *, level: float = LEVEL
 ) -> SurvivalCurve:
@@ -108,11 +75,6 @@ def kaplan_meier(
     undefined; Wilson's interval with all n trials stands there, so that "none of 3 converged"
     is not shown as certainty.
 
-    Args:
-        durations: time to convergence or censoring [n], > 0, any unit.
-        converged: whether the trial converged [n].
-        level: confidence level.
-
     Raises:
         ValueError: no trial, unequal lengths, or a duration that is not positive and finite.
 
@@ -125,35 +87,32 @@ def kaplan_meier(
     """
     check_level(level)
     t, e = _check(durations, converged)
-    n = len(t)
-    event_times, d = np.unique(t[e], return_counts=True)
-    at_risk = number_at_risk(t, event_times)
-    s = np.cumprod(1.0 - d / at_risk)
-    with np.errstate(divide="ignore"):
-        greenwood = np.cumsum(np.where(at_risk > d, d / (at_risk * (at_risk - d)), 0.0))
-    times, events = np.concatenate([[0.0], event_times]), np.concatenate([[0], d])
-    survival = np.concatenate([[1.0], s])
-    greenwood = np.concatenate([[0.0], greenwood])
-    if t.max() > times[-1]:
-        times, events = np.append(times, t.max()), np.append(events, 0)
-        survival, greenwood = np.append(survival, survival[-1]), np.append(greenwood, greenwood[-1])
-    low, high = _log_log(survival, greenwood, n, level)
-    return SurvivalCurve(times, survival, low, high, number_at_risk(t, times), events, n, level)
+    curve = stats.ecdf(_censored(t, e)).sf
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # the interval is NaN where Ŝ is 0 or 1
+        band = curve.confidence_interval(level, method="log-log")
+    # SciPy also steps where trials are only censored; of those, the horizon alone is kept.
+    shown = np.isin(curve.quantiles, t[e]) | (curve.quantiles == t.max())
+    times = np.concatenate([[0.0], curve.quantiles[shown]])
+    survival, low, high = (
+        np.concatenate([[start], f.probabilities[shown]])
+        for start, f in ((1.0, curve), (np.nan, band.low), (np.nan, band.high))
+    )
+    certain = (survival < 1e-12) | (survival > 1.0 - 1e-12)
+    wilson = len(t) / (len(t) + normal_quantile(level) ** 2)
+    low = np.where(certain, np.where(survival > 0.5, wilson, 0.0), low)
+    high = np.where(certain, np.where(survival > 0.5, 1.0, 1.0 - wilson), high)
+    ends = np.sort(t[e])
+    events = np.searchsorted(ends, times, "right") - np.searchsorted(ends, times, "left")
+    at_risk = number_at_risk(t, times)
+    return SurvivalCurve(times, survival, low, high, at_risk, events, len(t), level)
 
 
 def number_at_risk(durations: ArrayLike, times: ArrayLike) -> NDArray[np.int64]:
-    """n(t) = #{trials with duration ≥ t}: neither converged nor censored before t.
-
-    Args:
-        durations: [n].
-        times: [m], same unit.
-
-    Returns:
-        counts [m].
+    """n(t) = #{trials with duration ≥ t}, neither converged nor censored before the times t [m].
 
     >>> number_at_risk([5, 7, 7], [0, 5, 6, 8])
     array([3, 3, 2, 0])
-
     """
     t = np.sort(np.asarray(durations, dtype=np.float64))
     before = np.searchsorted(t, np.asarray(times, dtype=np.float64), side="left")
@@ -163,13 +122,8 @@ def number_at_risk(durations: ArrayLike, times: ArrayLike) -> NDArray[np.int64]:
 def median_time(curve: SurvivalCurve) -> Estimate:
     """Median of T: the first t with Ŝ(t) ≤ ½; its interval, the t whose own interval has ½.
 
-    Args:
-        curve: from :func:`kaplan_meier`.
-
-    Returns:
-        In the unit of the curve; ``inf`` where the curve, or a bound of it, never comes down
-        to one half ("not reached"); a lower bound of 0 where even Ŝ = 1 is compatible with ½
-        (three trials or fewer).
+    ``inf`` ("not reached") where the curve, or a bound of it, never comes down to one half. The
+    lower bound is 0 where even Ŝ = 1 is compatible with ½ (three trials or fewer).
 
     Source: Brookmeyer & Crowley, Biometrics 38 (1982).
 
@@ -192,19 +146,11 @@ def restricted_mean(
     μ̂ = ∫₀^τ Ŝ(t) dt,   Var μ̂ = n/(n-1) Σ_i (∫_{t_i}^τ Ŝ)² d_i / (n_i (n_i - d_i))
 
     Where trials are censored at τ only, as a cap does it, these are exactly the mean and
-    s/√n of min(T, τ).
-
-    Args:
-        durations: [n].
-        converged: [n].
-        horizon: τ, the cap, in the same unit.
-
-    Returns:
-        (μ̂, standard error), unit of the durations; the error of a single trial is NaN.
+    s/√n of min(T, τ). The error of a single trial is NaN.
 
     Raises:
-        ValueError: as :func:`kaplan_meier`; a τ that is not positive, or beyond the last
-            duration while trials were censored there (Ŝ is unknown from there on).
+        ValueError: as :func:`kaplan_meier`; a ``horizon`` τ that is not positive, or beyond the
+            last duration while trials were censored there (Ŝ is unknown from there on).
 
     Source: Royston & Parmar, BMC Medical Research Methodology 13 (2013).
 
@@ -243,18 +189,9 @@ def expected_running_time(
 
     ERT = Σ_i duration_i / #{converged}, over all trials, failed ones with their whole cap
 
-    Args:
-        durations: [n].
-        converged: [n].
-        rng: source of the bootstrap over trials.
-        level: confidence level.
-        resamples: number of bootstrap resamples.
-
-    Returns:
-        In the unit of the durations; ``inf`` where none converged, and as upper bound where
-        too many resamples contain no converged trial. Where none converged resampling cannot
-        see a finite time, and the lower bound is mean duration / Wilson's upper bound of the
-        pass rate. One trial has NaN bounds.
+    With bootstrap interval over trials: ``inf`` where none converged, and as upper bound where too
+    many resamples contain no converged trial. Where none converged resampling cannot see a finite
+    time, and the lower bound is mean duration / Wilson's upper bound of the pass rate.
 
     Raises:
         ValueError: as :func:`kaplan_meier`.
@@ -269,13 +206,82 @@ def expected_running_time(
     if not e.any() and len(t) > 1:
         least = float(t.mean() / pass_rate(0, len(t), level=level).high)
         return Estimate(np.inf, least, np.inf, level)
-    return bootstrap(_ert, [t, e], rng, paired=True, level=level, resamples=resamples)
+
+    def ratio(t: NDArray[np.float64], e: NDArray[np.bool_]) -> Any:
+        with np.errstate(divide="ignore"):
+            return t.sum(axis=-1) / e.sum(axis=-1)
+
+    return bootstrap(ratio, [t, e], rng, paired=True, level=level, resamples=resamples)
 
 
-def _ert(t: NDArray[np.float64], e: NDArray[np.bool_]) -> Any:
-    successes = e.sum(axis=-1)
-    with np.errstate(divide="ignore"):
-        return t.sum(axis=-1) / successes
+def logrank_test(t_a: ArrayLike, e_a: ArrayLike, t_b: ArrayLike, e_b: ArrayLike) -> float:
+    """Two-sided log-rank p-value of H0: both samples have the same survival curve.
+
+    Treats the samples as independent; on positively correlated pairs it is conservative. Two
+    samples without any converged trial have the same (constant) curve: p = 1.
+
+    Source: Mantel, Cancer Chemotherapy Reports 50 (1966); ``scipy.stats.logrank``.
+
+    """
+    t = [np.asarray(x, dtype=np.float64) for x in (t_a, t_b)]
+    e = [np.asarray(x, dtype=bool) for x in (e_a, e_b)]
+    # Nothing to rank either where all trials converge at one and the same time.
+    informative = np.concatenate(t)[np.concatenate(e)]
+    if len(informative) == 0 or not _varies(t[0], t[1], informative):
+        return 1.0
+    return float(stats.logrank(_censored(t[0], e[0]), _censored(t[1], e[1])).pvalue)
+
+
+def probability_faster(
+    t_a: ArrayLike,
+    e_a: ArrayLike,
+    t_b: ArrayLike,
+    e_b: ArrayLike,
+    *,
+    paired: bool,
+    level: float = LEVEL,
+) -> Estimate:
+    """P(T_a < T_b) + ½ P(T_a = T_b): the chance that a converges first.
+
+    A trial that does not converge is later than every one that does, also than one that
+    converges at the very cap; two that do not converge are tied. Paired: the share over the
+    pairs (same seed and trial). Unpaired: the share over all n_a · n_b combinations
+    (Mann-Whitney). The interval is Wilson's with n = number of pairs, or min(n_a, n_b): the
+    variance of either estimator is at most p(1 - p) / n, so that the interval is conservative.
+
+    Raises:
+        ValueError: an empty sample, or unequal numbers where paired.
+
+    Source: Birnbaum & Klose, Annals of Mathematical Statistics 28 (1957) for the bound.
+
+    >>> probability_faster([1, 9], [1, 0], [2, 9], [1, 0], paired=True).value
+    0.75
+
+    """
+    a = np.where(np.asarray(e_a, dtype=bool), t_a, np.inf)
+    b = np.where(np.asarray(e_b, dtype=bool), t_b, np.inf)
+    if min(len(a), len(b)) == 0 or (paired and len(a) != len(b)):
+        raise ValueError(f"samples of {len(a)} and {len(b)} trials: none may be empty, pairs equal")
+    if paired:
+        value = float(np.mean((a < b) + 0.5 * (a == b)))
+    else:
+        ordered = np.sort(b)
+        later = len(b) - np.searchsorted(ordered, a, side="right")
+        tied = np.searchsorted(ordered, a, "right") - np.searchsorted(ordered, a, "left")
+        value = float(np.mean(later + 0.5 * tied) / len(b))
+    n = min(len(a), len(b))
+    return pass_rate(value * n, n, level=level)
+
+
+def _censored(t: NDArray[np.float64], converged: NDArray[np.bool_]) -> stats.CensoredData:
+    return stats.CensoredData(uncensored=t[converged], right=t[~converged])
+
+
+def _varies(t_a: np.ndarray, t_b: np.ndarray, events: np.ndarray) -> bool:
+    """Whether at some event time both samples are at risk and not all of them converge."""
+    common = events[(events <= t_a.max()) & (events <= t_b.max())]
+    both = np.concatenate([t_a, t_b])
+    return any((both >= s).sum() > (events == s).sum() for s in np.unique(common))
 
 
 def _check(
@@ -287,16 +293,3 @@ def _check(
     if not (np.isfinite(t).all() and (t > 0).all()):
         raise ValueError(f"durations from {t.min()} to {t.max()}: all must be positive and finite")
     return t, e
-
-
-def _log_log(
-    s: NDArray[np.float64], greenwood: NDArray[np.float64], n: int, level: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    z = float(stats.norm.ppf((1.0 + level) / 2.0))
-    inner = (s > 1e-12) & (s < 1.0 - 1e-12)
-    p = np.where(inner, s, 0.5)
-    width = np.exp(z * np.sqrt(greenwood) / np.abs(np.log(p)))
-    wilson = n / (n + z**2)
-    low = np.where(inner, p**width, np.where(s > 0.5, wilson, 0.0))
-    high = np.where(inner, p ** (1.0 / width), np.where(s > 0.5, 1.0, 1.0 - wilson))
-    return low, high

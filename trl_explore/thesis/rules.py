@@ -1,4 +1,4 @@
-"""Decision rules: each turns an interval or a test into a verdict, at a level that is given.
+"""Verdicts, and the rules that reach them: each turns an interval or a test into a finding.
 
 Words of the thesis, and what they are taken to mean for the probability p that a trial passes:
 
@@ -8,7 +8,7 @@ Words of the thesis, and what they are taken to mean for the probability p that 
     almost every time         p > 80 %
     mostly, most of the time  p > 50 %
 
-Each claim stands by itself at the stated level. A claim of several parts holds where every part
+Each claim is decided at the stated level by itself. A claim of several parts holds where every part
 holds at that level (an intersection-union test, which needs no correction), and fails where
 one of its k parts fails at 1 - (1 - level)/k (Bonferroni).
 """
@@ -16,68 +16,80 @@ one of its k parts fails at 1 - (1 - level)/k (Bonferroni).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import sqrt
+from typing import Literal
 
 import numpy as np
-from scipy import stats
 
 from trl_explore.statistics.bootstrap import RESAMPLES
-from trl_explore.statistics.differences import mean_difference
-from trl_explore.statistics.estimates import Estimate
+from trl_explore.statistics.comparisons import mean_difference
+from trl_explore.statistics.estimates import Estimate, normal_quantile, pass_rate
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.pairing import common
 from trl_explore.statistics.power import trials_for_difference, trials_for_rate_bound
-from trl_explore.statistics.proportions import pass_rate
-from trl_explore.thesis.model import (
-    FAILS,
-    HOLDS,
-    NOT_MEASURED,
-    OPEN,
-    Finding,
-    Verdict,
-)
 from trl_explore.thesis.study import NotMeasuredError, Sample, Study
 
 NEVER, CONSISTENTLY, ALMOST_ALWAYS, MOSTLY = 0.05, 0.90, 0.80, 0.50
 
+Verdict = Literal["holds", "does not hold", "open", "not measured"]
+HOLDS: Verdict = "holds"
+FAILS: Verdict = "does not hold"
+OPEN: Verdict = "open"
+NOT_MEASURED: Verdict = "not measured"
+VERDICTS: tuple[Verdict, ...] = (HOLDS, FAILS, OPEN, NOT_MEASURED)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The verdict on a claim.
+
+    Attributes:
+        verdict: ``holds``, ``does not hold``, ``open`` (these data decide neither), or
+            ``not measured``.
+        evidence: the numbers, intervals and tests that the verdict follows from.
+        trials_needed: of an open claim: trials per configuration that would settle it with
+            80 % power if the present estimates were the truth; None where not computable.
+            Of claims about the trials that converge, it counts those only.
+
+    """
+
+    verdict: Verdict
+    evidence: str
+    trials_needed: int | None = None
+
+
 Rule = Callable[[float], Finding]
 """Confidence level to finding."""
-
-TimeDecision = Callable[[Study, np.random.Generator, str], Finding]
-"""Study, generator and unit (``s`` or ``frames``) to finding."""
-
-
-def share_above(count: float, n: int, bound: float, what: str) -> Rule:
-    """Ask p > bound of Wilson's interval; ``what`` reads "softmax trials pass"."""
-
-    def rule(level: float) -> Finding:
-        rate = pass_rate(count, n, level=level)
-        text = f"{count:.4g} of {n} {what}: {percent(rate)}"
-        verdict = decided(rate.above(bound), rate.below(bound))
-        return Finding(verdict, text, _more_for_rate(verdict, rate, n, bound))
-
-    return rule
+Decision = Callable[[Study, np.random.Generator], Finding]
+"""Study and generator to finding; may raise :class:`NotMeasuredError`."""
+UnitDecision = Callable[[Study, np.random.Generator, str], Finding]
+"""The same, given also the unit: ``iterations``, ``frames`` or ``s``."""
 
 
-def share_below(count: float, n: int, bound: float, what: str) -> Rule:
-    """Ask p < bound of Wilson's interval."""
-    return _contrary(share_above(count, n, bound, what))
+def share(
+    count: float, n: int, what: str, *, above: float | None = None, below: float | None = None
+) -> Rule:
+    """The share is p > ``above``, or p < ``below``, by Wilson's interval of ``what``."""
+    if above is None:
+        assert below is not None
+        return contrary(share(count, n, what, above=below))
+    return _rate(count, n, what, above, lambda p: decided(p.above(above), p.below(above)))
+
+
+def passing(o: Outcomes, what: str, **bound: float) -> Rule:
+    """:func:`share` of the trials that pass."""
+    return share(int(o.converged.sum()), len(o), what, **bound)
 
 
 def never(count: int, n: int, what: str) -> Rule:
     """No trial does ``what``: one refutes it; it holds with none and Wilson's bound < 5 %."""
-
-    def rule(level: float) -> Finding:
-        rate = pass_rate(count, n, level=level)
-        text = f"{count} of {n} {what}: {percent(rate)}"
-        verdict = decided(count == 0 and rate.below(NEVER), count > 0)
-        return Finding(verdict, text, _more_for_rate(verdict, rate, n, NEVER))
-
-    return rule
+    return _rate(count, n, what, NEVER, lambda p: decided(count == 0 and p.below(NEVER), count > 0))
 
 
 def some(count: int, n: int, what: str) -> Rule:
     """At least one trial does ``what``: the contrary of :func:`never`."""
-    return _contrary(never(count, n, what))
+    return contrary(never(count, n, what))
 
 
 def mean_less(
@@ -98,15 +110,15 @@ def mean_less(
             f" p = {p_value(d.p_value)} ({design})"
         )
         needed = trials_for_difference(d.sd, d.estimate.value, level=level)
-        return Finding(verdict, text, _more(verdict, needed, d.n))
+        return Finding(verdict, text, more(verdict, needed, d.n))
 
     return rule
 
 
 def within(
-    estimate: Callable[[float], Estimate], n: int, low: float, high: float, what: str, unit: str
+    estimate: Callable[[float], Estimate], n: int, low: float, high: float, what: str
 ) -> Rule:
-    """Ask low ≤ θ ≤ high: holds where the interval lies inside, fails where it lies outside.
+    """Low ≤ θ ≤ high: holds where the interval lies inside, fails where it lies outside.
 
     Half-lines (``low`` = -inf) are allowed. ``n`` is the number of trials behind the estimate.
     """
@@ -115,10 +127,9 @@ def within(
         theta = estimate(level)
         verdict = decided(theta.inside(low, high), theta.outside(low, high))
         gap = min(abs(theta.value - low), abs(theta.value - high))
-        z = float(stats.norm.ppf((1.0 + level) / 2.0))
-        sd = (theta.high - theta.low) / (2.0 * z) * sqrt(n)
+        sd = (theta.high - theta.low) / (2.0 * normal_quantile(level)) * sqrt(n)
         needed = trials_for_difference(sd, gap, level=level)
-        return Finding(verdict, f"{what} {interval(theta, unit)}", _more(verdict, needed, n))
+        return Finding(verdict, f"{what} {interval(theta)}", more(verdict, needed, n))
 
     return rule
 
@@ -147,13 +158,18 @@ def all_of(rules: Sequence[Rule], level: float) -> Finding:
 
 def any_of(rules: Sequence[Rule]) -> Rule:
     """Disjunction: holds where one part holds after Bonferroni, fails where every part fails."""
-    return _contrary(lambda level: all_of([_contrary(rule) for rule in rules], level))
+    return contrary(lambda level: all_of([contrary(rule) for rule in rules], level))
 
 
-def with_frames(decide: TimeDecision) -> Callable[[Study, np.random.Generator], Finding]:
+def in_iterations(decide: UnitDecision) -> Decision:
+    """Decide by iterations, restricted to the cap."""
+    return lambda study, rng: decide(study, rng, "iterations")
+
+
+def in_seconds(decide: UnitDecision) -> Decision:
     """Decide by seconds; the evidence adds what frames, free of the machine, would say.
 
-    Without seconds the verdict is ``not measured``; frames do not stand in for them, since an
+    Without seconds the verdict is ``not measured``; frames do not replace them, since an
     iteration costs time beside its frames.
     """
 
@@ -172,12 +188,10 @@ def with_frames(decide: TimeDecision) -> Callable[[Study, np.random.Generator], 
 
 def align(a: Sample, b: Sample) -> tuple[np.ndarray, np.ndarray, bool]:
     """Values of the trials both have, as pairs; without common trials all values, unpaired."""
-    where_b = {key: j for j, key in enumerate(b.keys)}
-    pairs = [(i, where_b[key]) for i, key in enumerate(a.keys) if key in where_b]
-    if not pairs:
+    i, j = common(a.keys, b.keys)
+    if len(i) == 0:
         return a.values, b.values, False
-    index = np.array(pairs)
-    return a.values[index[:, 0]], b.values[index[:, 1]], True
+    return a.values[i], b.values[j], True
 
 
 def decided(holds: bool, fails: bool) -> Verdict:
@@ -193,12 +207,12 @@ def percent(rate: Estimate) -> str:
     )
 
 
-def interval(e: Estimate, unit: str) -> str:
+def interval(e: Estimate, unit: str = "") -> str:
     """Write a quantity with its interval."""
     if np.isnan(e.low):
-        return f"{e.value:.3g} {unit}".strip() + " (no interval)"
+        return f"{_signed(f'{e.value:.3g}')} {unit}".strip() + " (no interval)"
     digits = _digits(max(abs(e.low), abs(e.high)))
-    value, low, high = (f"{x:.{digits}f}" for x in (e.value, e.low, e.high))
+    value, low, high = (_signed(f"{x:.{digits}f}") for x in (e.value, e.low, e.high))
     return f"{value} {unit}".strip() + f", {100 * e.level:.3g} % interval {low} to {high}"
 
 
@@ -207,25 +221,40 @@ def p_value(p: float) -> str:
     return f"{p:.2g}" if p >= 0.001 else f"{p:.0e}"
 
 
+def _signed(number: str) -> str:
+    return f"−{number[1:]}" if number.startswith("-") else number
+
+
 def _digits(size: float) -> int:
     return 3 if size < 1 else 2 if size < 10 else 1 if size < 1000 else 0
 
 
-def _contrary(rule: Rule) -> Rule:
+def contrary(rule: Rule) -> Rule:
+    """The negation: what holds fails, what fails holds, what is open stays open."""
     swapped: dict[Verdict, Verdict] = {HOLDS: FAILS, FAILS: HOLDS}
 
-    def contrary(level: float) -> Finding:
+    def negated(level: float) -> Finding:
         finding = rule(level)
         return replace(finding, verdict=swapped.get(finding.verdict, finding.verdict))
 
-    return contrary
+    return negated
 
 
-def _more_for_rate(verdict: Verdict, rate: Estimate, n: int, bound: float) -> int | None:
-    return _more(verdict, trials_for_rate_bound(rate.value, bound, level=rate.level), n)
+def _rate(
+    count: float, n: int, what: str, bound: float, verdict_on: Callable[[Estimate], Verdict]
+) -> Rule:
+    def rule(level: float) -> Finding:
+        p = pass_rate(count, n, level=level)
+        verdict = verdict_on(p)
+        needed = trials_for_rate_bound(p.value, bound, level=level)
+        text = f"{count} of {n} {what}: {percent(p)}"
+        return Finding(verdict, text, more(verdict, needed, n))
+
+    return rule
 
 
-def _more(verdict: Verdict, needed: int | None, n: int) -> int | None:
+def more(verdict: Verdict, needed: int | None, n: int) -> int | None:
+    """Trials that an open claim needs: ``needed``, but more than the ``n`` there are."""
     if verdict != OPEN or needed is None:
         return None
     # The approximation may promise fewer than there are; those did not settle it.

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trl_explore.names import OPTIONS, option_of, strategy_label, symbol
 from trl_explore.statistics.bootstrap import RESAMPLES
-from trl_explore.statistics.choices import NAMES, choice
 from trl_explore.statistics.estimates import LEVEL
-from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.outcomes import Outcomes, convergence_times
 from trl_explore.statistics.pairing import configuration_key, deduplicate, pool, trial_keys
-from trl_explore.statistics.survival import convergence_times
 
 STRATEGIES = ("random", "argmax", "epsilon_greedy", "decaying_epsilon_greedy", "softmax")
 
@@ -74,14 +73,13 @@ class Study:
 
     Attributes:
         outcomes: one entry per job, of any experiments.
-        seconds: wall time of trials run by themselves, one array [n] per configuration, under
-            ``experiment/name``, ``name`` or (of the experiment ``thesis``) the strategy.
-        timed_trials: under the same key, the trial index of each entry of ``seconds`` [n];
-            without it the entries are the first n trials of the configuration, in order.
+        seconds: wall time of trials run by themselves, ``experiment/name`` -> array [n].
+        timed_trials: ``experiment/name`` -> trial index of each entry of ``seconds`` [n]; without
+            it the entries are the first n trials of the configuration, in order.
         level: confidence level of every verdict.
         resamples: of every bootstrap and permutation test.
         strategies: those that a claim about all strategies is about.
-        places: experiments that stand in the place of others, name -> stand-in.
+        places: experiments that others replace, name -> replacement.
 
     """
 
@@ -94,20 +92,17 @@ class Study:
     places: Mapping[str, str] = field(default_factory=dict)
 
     def under(self, correction: str) -> Study:
-        """The same questions put to the experiments with corrections, under one of them.
+        """The study in which the experiments with corrections replace those without.
 
-        ``corrections`` stands in the place of ``thesis`` (without random, whose actions tell
-        nothing of what was learned), ``corrections_temperature`` in that of ``temperature_grid``.
-
-        Args:
-            correction: name of its class; ``NoCorrection``: the thesis's way, on the same trials.
-
+        ``corrections`` replaces ``thesis`` (without random, whose actions tell nothing of what was
+        learned), ``corrections_temperature`` replaces ``temperature_grid``. ``correction`` is the
+        name of a class; ``NoCorrection`` is the thesis's way, on the same trials.
         """
         places = {"thesis": "corrections", "temperature_grid": "corrections_temperature"}
         chosen = [
             o
             for o in self.outcomes
-            if o.experiment in places.values() and choice(o, "correction") == correction
+            if o.experiment in places.values() and option_of(o.config, "correction") == correction
         ]
         strategies = [name for name in self.strategies if name != "random"]
         return replace(self, outcomes=chosen, strategies=strategies, places=places)
@@ -135,42 +130,36 @@ class Study:
             NotMeasuredError: it was not run, or only with other parameters or conditions.
 
         """
+        called = strategy_label(name)
         jobs = [o for o in self.experiment(experiment) if o.strategy == name]
         if not jobs:
-            raise NotMeasuredError(f"{name} was not run in the experiment {experiment}")
+            raise NotMeasuredError(f"{called} was not run in the experiment {experiment}")
         expected = PARAMETERS.get(name, {})
         alike = [o for o in jobs if all(o.parameters.get(k, v) == v for k, v in expected.items())]
         if not alike:
-            wanted = ", ".join(f"{k} {v:g}" for k, v in expected.items())
-            raise NotMeasuredError(f"{name} was not run with {wanted}, as in the thesis")
+            wanted = ", ".join(f"{symbol(k)} = {v:g}" for k, v in expected.items())
+            raise NotMeasuredError(f"{called} was not run with {wanted}, as in the thesis")
         if len({configuration_key(o) for o in alike}) > 1:
-            raise NotMeasuredError(f"{experiment} has several configurations of {name}")
+            raise NotMeasuredError(f"{experiment} has several configurations of {called}")
         return _pooled(alike)
 
     def choices(self, experiment: str, strategy: str, group: str) -> dict[str, Outcomes]:
-        """Map a strategy's configurations by their option of a group, each with its defaults.
-
-        Args:
-            experiment: to look in.
-            strategy: with the thesis's parameters.
-            group: ``correction`` or ``baseline``.
+        """Map a strategy's configurations by their option of ``correction`` or ``baseline``.
 
         Raises:
             NotMeasuredError: the experiment is missing, or an option has several configurations.
 
         """
-        jobs = [o for o in self.experiment(experiment) if o.strategy == strategy]
-        names = dict.fromkeys(choice(o, group) for o in jobs)
-        known = [n for n in NAMES[group] if n in names] + [
-            n for n in names if n not in NAMES[group]
-        ]
-        found = {}
-        for name in known:
-            mine = [o for o in jobs if choice(o, group) == name]
-            found[name] = replace(self, outcomes=mine, places={}).strategy(
-                strategy, self.places.get(experiment, experiment)
-            )
-        return found
+        by_name: dict[str, list[Outcomes]] = {name: [] for name in OPTIONS[group]}
+        for o in self.experiment(experiment):
+            if o.strategy == strategy:
+                by_name.setdefault(option_of(o.config, group), []).append(o)
+        place = self.places.get(experiment, experiment)
+        return {
+            name: replace(self, outcomes=jobs, places={}).strategy(strategy, place)
+            for name, jobs in by_name.items()
+            if jobs
+        }
 
     def grid(self, experiment: str, parameter: str) -> dict[float, Outcomes]:
         """Map a grid by the value of its parameter, ascending.
@@ -188,7 +177,7 @@ class Study:
         for value, jobs in by_value.items():
             if len({configuration_key(o) for o in jobs}) > 1:
                 raise NotMeasuredError(
-                    f"{experiment} has several configurations with {parameter} {value:g}"
+                    f"{experiment} has several configurations with {symbol(parameter)} = {value:g}"
                 )
         return {value: _pooled(by_value[value]) for value in sorted(by_value)}
 
@@ -199,7 +188,7 @@ class Study:
             NotMeasuredError: seconds that were not measured or do not fit the trials.
 
         """
-        name = label or outcomes.strategy
+        name = label or strategy_label(outcomes.strategy)
         keys, converged = trial_keys(outcomes), np.asarray(outcomes.converged, dtype=bool)
         if unit == "iterations":
             values = outcomes.durations.astype(np.float64)
@@ -211,11 +200,11 @@ class Study:
         return Sample(name, unit, values, converged, tuple(keys))
 
     def _seconds(self, outcomes: Outcomes) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-        options = [f"{outcomes.experiment}/{outcomes.name}", outcomes.name]
-        options += [outcomes.strategy] if outcomes.experiment == "thesis" else []
-        key = next((k for k in options if k in self.seconds), None)
-        if key is None:
-            raise NotMeasuredError(f"no trial of {outcomes.name} was timed by itself")
+        key = f"{outcomes.experiment}/{outcomes.name}"
+        if key not in self.seconds:
+            raise NotMeasuredError(
+                f"no trial of {strategy_label(outcomes.strategy)} was timed by itself"
+            )
         values = np.asarray(self.seconds[key], dtype=np.float64)
         trials = self.timed_trials.get(key)
         if trials is None:
@@ -225,7 +214,9 @@ class Study:
             where = np.array([first.get(int(t), -1) for t in np.asarray(trials)], dtype=np.intp)
         fits = len(where) == len(values) > 0 and (where >= 0).all() and len(values) <= len(outcomes)
         if not fits or not np.isfinite(values).all():
-            raise NotMeasuredError(f"the timed trials of {outcomes.name} do not fit its trials")
+            raise NotMeasuredError(
+                f"the timed trials of {strategy_label(outcomes.strategy)} do not fit its trials"
+            )
         return values, where
 
 

@@ -7,23 +7,19 @@ repeat the comparison with the ratio π/μ in the loss, on the same seeds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trl_explore.statistics.choices import choice_name
+from trl_explore.names import option_label, strategy_label
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.thesis import conclusion, iterations, outlook, rules, score
-from trl_explore.thesis.model import (
-    FAILS,
-    HOLDS,
-    NOT_MEASURED,
-    OPEN,
-    Claim,
-    Finding,
-    Verdict,
-)
+from trl_explore.statistics.pairing import common
+from trl_explore.thesis import rules
+from trl_explore.thesis.claims import CLAIMS as THESIS
+from trl_explore.thesis.claims import Claim, check_claims
+from trl_explore.thesis.means import smaller
+from trl_explore.thesis.rules import HOLDS, NOT_MEASURED, OPEN, Decision, Finding
+from trl_explore.thesis.shares import all_passing
 from trl_explore.thesis.study import NotMeasuredError, Sample, Study
 
 PLAIN, RATIO = "NoCorrection", "PerStep"
@@ -32,7 +28,7 @@ HOT = 1.5
 
 CONCLUSIONS: tuple[Claim, ...] = tuple(
     claim
-    for claim in (*score.CLAIMS, *iterations.CLAIMS, *conclusion.CLAIMS, *outlook.CLAIMS)
+    for claim in THESIS
     if claim.id
     in {
         "score.argmax_passes_less_than_half",
@@ -61,107 +57,71 @@ class Reexamined:
     @property
     def outcome(self) -> str:
         """What becomes of the statement when the bias is removed."""
-        verdicts = {self.plain.verdict, self.corrected.verdict}
-        if NOT_MEASURED in verdicts:
-            return "not measured"
-        if OPEN in verdicts:
-            return "open"
-        outcomes: dict[tuple[Verdict, Verdict], str] = {
-            (HOLDS, HOLDS): "survives",
-            (HOLDS, FAILS): "falls",
-            (FAILS, HOLDS): "becomes true",
-            (FAILS, FAILS): "false either way",
-        }
-        return outcomes[self.plain.verdict, self.corrected.verdict]
+        for undecided in (NOT_MEASURED, OPEN):
+            if undecided in (self.plain.verdict, self.corrected.verdict):
+                return undecided
+        if self.plain.verdict == HOLDS:
+            return "survives" if self.corrected.verdict == HOLDS else "falls"
+        return "becomes true" if self.corrected.verdict == HOLDS else "false either way"
 
 
 def reexamine(
-    study: Study,
-    plain: Sequence[np.random.Generator],
-    corrected: Sequence[np.random.Generator],
-    correction: str = RATIO,
+    study: Study, plain: np.random.Generator, corrected: np.random.Generator
 ) -> list[Reexamined]:
     """Decide every one of ``CONCLUSIONS`` twice, with the very tests used for the thesis.
 
     Args:
         study: with the experiments ``corrections`` and ``corrections_temperature``.
-        plain: a generator for each conclusion, for the verdicts without correction.
-        corrected: the same for those with it.
-        correction: class of the correction.
+        plain: source of the resampling for the verdicts without correction.
+        corrected: the same for those with the per-step ratio.
 
     """
-    without, under = study.under(PLAIN), study.under(correction)
-    return [
-        Reexamined(claim, _decide(claim, without, a), _decide(claim, under, b))
-        for claim, a, b in zip(CONCLUSIONS, plain, corrected, strict=True)
-    ]
+    without, under = (
+        check_claims(study.under(name), rng, CONCLUSIONS)
+        for name, rng in ((PLAIN, plain), (RATIO, corrected))
+    )
+    return [Reexamined(a.claim, a.finding, b.finding) for a, b in zip(without, under, strict=True)]
 
 
-def _decide(claim: Claim, study: Study, rng: np.random.Generator) -> Finding:
-    try:
-        return claim.decide(study, rng)
-    except NotMeasuredError as missing:
-        return Finding(NOT_MEASURED, str(missing))
-
-
-def mostly_bias(strategy: str) -> score.Decision:
+def mostly_bias(strategy: str) -> Decision:
     """E[T_uncorrected − T_softmax] > 2 E[T_ratio − T_softmax], of min(T, cap), on pairs."""
 
     def decide(study: Study, rng: np.random.Generator) -> Finding:
         jobs = study.choices("corrections", strategy, "correction")
         plain, ratio = _need(jobs, PLAIN, strategy), _need(jobs, RATIO, strategy)
-        best = study.under(PLAIN).strategy("softmax")
-        excess = [
-            _excess(study.sample(o, "iterations"), study.sample(best, "iterations"), label)
-            for o, label in (
-                (ratio, f"twice the excess of {strategy} over softmax with the ratio"),
-                (plain, "that without"),
-            )
-        ]
-        doubled = Sample(
-            excess[0].label, "iterations", 2 * excess[0].values, excess[0].converged, excess[0].keys
-        )
-        return rules.mean_less(doubled, excess[1], rng, resamples=study.resamples)(study.level)
+        best = study.sample(study.under(PLAIN).strategy("softmax"), "iterations")
+        label = f"twice the excess of {strategy_label(strategy)} over softmax with the ratio"
+        corrected = _excess(study.sample(ratio, "iterations"), best, label)
+        doubled = replace(corrected, values=2 * corrected.values)
+        excess = _excess(study.sample(plain, "iterations"), best, "that without")
+        return smaller(study, rng, [(doubled, excess)])
 
     return decide
 
 
 def argmax_beyond_repair(study: Study, rng: np.random.Generator) -> Finding:
-    """Ask p(argmax passes) < 80 % under every correction."""
+    """p(argmax passes) < 80 % under every correction."""
     jobs = study.choices("corrections", "argmax", "correction")
     _need(jobs, RATIO, "argmax")
-    return rules.all_of(
-        [
-            rules.share_below(
-                int(o.converged.sum()),
-                len(o),
-                rules.ALMOST_ALWAYS,
-                f"argmax trials pass, {choice_name(name, 'correction')}",
-            )
-            for name, o in jobs.items()
-        ],
-        study.level,
-    )
+    passing = {f"argmax trials pass, {option_label('correction', n)}": o for n, o in jobs.items()}
+    return all_passing(study, passing, below=rules.ALMOST_ALWAYS)
 
 
 def variance_costs_more(study: Study, rng: np.random.Generator) -> Finding:
     """mean(ratio) < mean(unbiased weights), for both ε-greedy strategies."""
-    parts = []
+    pairs = []
     for strategy in ("epsilon_greedy", "decaying_epsilon_greedy"):
         jobs = study.choices("corrections", strategy, "correction")
-        samples = {
-            name: study.sample(
+        ratio, *unbiased = (
+            study.sample(
                 _need(jobs, name, strategy),
                 "iterations",
-                f"{strategy} with {choice_name(name, 'correction')}",
+                f"{strategy_label(strategy)} with {option_label('correction', name)}",
             )
             for name in (RATIO, *UNBIASED)
-        }
-        parts += [
-            rules.mean_less(samples[RATIO], samples[name], rng, resamples=study.resamples)
-            for name in UNBIASED
-        ]
-    return rules.all_of(parts, study.level)
+        )
+        pairs += [(ratio, other) for other in unbiased]
+    return smaller(study, rng, pairs)
 
 
 def hot_softmax_repaired(study: Study, rng: np.random.Generator) -> Finding:
@@ -169,34 +129,28 @@ def hot_softmax_repaired(study: Study, rng: np.random.Generator) -> Finding:
     parts = []
     for correction in (PLAIN, RATIO):
         grid = study.under(correction).grid("temperature_grid", "temperature")
+        how = option_label("correction", correction)
         if HOT not in grid:
-            raise NotMeasuredError(f"T = {HOT} was not run with correction {correction}")
-        o, what = grid[HOT], f"trials pass at T = {HOT}, {choice_name(correction, 'correction')}"
-        count = int(o.converged.sum())
+            raise NotMeasuredError(f"T = {HOT}, {how}, was not run")
+        o, what = grid[HOT], f"trials pass at T = {HOT}, {how}"
         if correction == PLAIN:
-            parts.append(rules.never(count, len(o), what))
+            parts.append(rules.never(int(o.converged.sum()), len(o), what))
         else:
-            parts.append(rules.share_above(count, len(o), rules.CONSISTENTLY, what))
+            parts.append(rules.passing(o, what, above=rules.CONSISTENTLY))
     return rules.all_of(parts, study.level)
 
 
 def every_temperature_serves(study: Study, rng: np.random.Generator) -> Finding:
-    """Ask p > 90 % at every temperature with the gradient of μ."""
+    """The pass rate is p > 90 % at every temperature with the gradient of μ."""
     grid = study.under("Behaviour").grid("temperature_grid", "temperature")
-    return rules.all_of(
-        [
-            rules.share_above(
-                int(o.converged.sum()), len(o), rules.CONSISTENTLY, f"trials pass at T = {t:g}"
-            )
-            for t, o in grid.items()
-        ],
-        study.level,
-    )
+    passing = {f"trials pass at T = {t:g}": o for t, o in grid.items()}
+    return all_passing(study, passing, above=rules.CONSISTENTLY)
 
 
 def _need(jobs: dict[str, Outcomes], name: str, strategy: str) -> Outcomes:
     if name not in jobs:
-        raise NotMeasuredError(f"{strategy} was not run with {choice_name(name, 'correction')}")
+        how = option_label("correction", name)
+        raise NotMeasuredError(f"{strategy_label(strategy)} was not run with {how}")
     return jobs[name]
 
 
@@ -207,11 +161,9 @@ def _excess(a: Sample, b: Sample, label: str) -> Sample:
         NotMeasuredError: they have none in common.
 
     """
-    where = {key: j for j, key in enumerate(b.keys)}
-    common = [(i, where[key]) for i, key in enumerate(a.keys) if key in where]
-    if not common:
+    i, j = common(a.keys, b.keys)
+    if len(i) == 0:
         raise NotMeasuredError(f"{a.label} and {b.label} have no trial in common")
-    i, j = np.array(common).T
     keys = tuple(a.keys[k] for k in i)
     return Sample(label, a.unit, a.values[i] - b.values[j], a.converged[i] & b.converged[j], keys)
 
@@ -226,7 +178,6 @@ CLAIMS = (
         " and trial) falls by more than half when each action is weighted with π/μ: twice the"
         " excess with the ratio is smaller than the excess without (paired bootstrap interval and"
         " sign-flip test).",
-        needs=("corrections",),
         decide=mostly_bias("epsilon_greedy"),
     ),
     Claim(
@@ -235,7 +186,6 @@ CLAIMS = (
         " gradient.",
         place="experiment corrections",
         definition="As for ε-greedy.",
-        needs=("corrections",),
         decide=mostly_bias("decaying_epsilon_greedy"),
     ),
     Claim(
@@ -244,7 +194,6 @@ CLAIMS = (
         place="experiment corrections",
         definition="Under every correction, argmax passes in less than 80 % of trials (Wilson"
         " intervals).",
-        needs=("corrections/argmax",),
         decide=argmax_beyond_repair,
     ),
     Claim(
@@ -255,7 +204,6 @@ CLAIMS = (
         definition="The mean number of iterations, restricted to the cap, is smaller with the"
         " per-step ratio than with either of the unbiased weights, for both strategies (paired"
         " bootstrap interval and sign-flip test).",
-        needs=("corrections/epsilon_greedy", "corrections/decaying_epsilon_greedy"),
         decide=variance_costs_more,
     ),
     Claim(
@@ -265,7 +213,6 @@ CLAIMS = (
         place="experiment corrections_temperature",
         definition="Without, no trial passes, and the Wilson interval ends below 5 %; with the"
         " ratio, more than 90 % pass.",
-        needs=("corrections_temperature",),
         decide=hot_softmax_repaired,
     ),
     Claim(
@@ -274,7 +221,6 @@ CLAIMS = (
         " of the grid.",
         place="experiment corrections_temperature",
         definition="More than 90 % of trials pass at each temperature (Wilson intervals).",
-        needs=("corrections_temperature",),
         decide=every_temperature_serves,
     ),
 )

@@ -11,8 +11,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from trl_explore.envs.kernels import CompiledEnv, Kernel, check_kernel, kernel_function, kernel_of
-from trl_explore.envs.kernels import toy_text as tabular
+from trl_explore.envs.kernels import (
+    CompiledEnv,
+    Kernel,
+    check_kernel,
+    kernel_function,
+    kernel_of,
+    tabular,
+)
 from trl_explore.envs.kernels.cartpole import observe, reset
 from trl_explore.envs.kernels.kernel import _BUILDERS
 from trl_explore.numerics.compiled import philox
@@ -175,7 +181,7 @@ def test_a_table_of_ones_own():
 
 
 def test_what_a_kernel_does_not_serve_is_a_clear_refusal():
-    with pytest.raises(LookupError, match="does not serve fickle_passenger=True"):
+    with pytest.raises(LookupError, match="fickle_passenger=True"):
         kernel_of(gym.make("Taxi-v4", fickle_passenger=True))
 
 
@@ -191,7 +197,7 @@ def test_initial_states_of_cartpole_are_uniform():
 
 
 def test_no_kernel_is_a_clear_refusal():
-    with pytest.raises(LookupError, match="no kernel is registered for PendulumEnv"):
+    with pytest.raises(LookupError, match=r"kernel.*PendulumEnv"):
         kernel_of(gym.make("Pendulum-v1"))
 
 
@@ -208,9 +214,9 @@ def test_closures_are_refused():
     def closing(parameters, state, action, rng):
         return gain, False
 
-    with pytest.raises(ValueError, match="closes over values"):
+    with pytest.raises(ValueError, match="closes over"):
         Kernel(reset, closing, observe, (), state_size=1, n_features=1, n_actions=2)
-    with pytest.raises(ValueError, match="is not compiled"):
+    with pytest.raises(ValueError, match="compiled"):
         Kernel(reset, lambda *_: (0.0, False), observe, (), 1, 1, 2)
 
 
@@ -260,9 +266,9 @@ def test_a_faulty_kernel_is_noticed(monkeypatch):
     env.gravity = 9.8
     kernel = kernel_of(env)
     env.gravity = 9.9
-    from trl_explore.envs.kernels import check
+    from trl_explore.envs.kernels import kernel as module
 
-    monkeypatch.setattr(check, "kernel_of", lambda _: kernel)
+    monkeypatch.setattr(module, "kernel_of", lambda _: kernel)
     with pytest.raises(AssertionError, match="in episode 0 at step"):
         check_kernel(env, episodes=3)
 
@@ -271,11 +277,11 @@ def test_a_faulty_mask_is_noticed(monkeypatch):
     env = make("Taxi-v4")
     faulty = kernel_of(env)
     faulty.parameters[5][:, 0] = True
-    from trl_explore.envs.kernels import check
+    from trl_explore.envs.kernels import kernel as module
 
-    monkeypatch.setattr(check, "kernel_of", lambda _: faulty)
+    monkeypatch.setattr(module, "kernel_of", lambda _: faulty)
     with pytest.raises(AssertionError, match="in episode"):
         check_kernel(env, episodes=3)
-    monkeypatch.setattr(check, "kernel_of", lambda _: replace(faulty, mask=None))
+    monkeypatch.setattr(module, "kernel_of", lambda _: replace(faulty, mask=None))
     with pytest.raises(AssertionError, match="mask None, not"):
         check_kernel(env, episodes=1)

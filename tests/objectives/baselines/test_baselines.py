@@ -36,7 +36,7 @@ def episodes(*rewards, trial=None, trials=1, gamma=1.0):
 
 def test_constant():
     assert Constant(2.5)(episodes([1.0, 1.0])) == 2.5
-    with pytest.raises(ValueError, match="baseline must be a number that is finite"):
+    with pytest.raises(ValueError, match=r"baseline.*finite"):
         Constant(float("nan"))
 
 
@@ -87,7 +87,7 @@ def test_leaving_one_out():
 
 
 def test_leaving_one_out_needs_two():
-    with pytest.raises(ValueError, match="episodes_per_update of at least 2"):
+    with pytest.raises(ValueError, match=r"episodes_per_update.*2"):
         LeaveOneOut()(episodes([1.0], [1.0], trial=[0, 1], trials=2))
 
 

@@ -124,13 +124,13 @@ def test_weights_that_are_all_zero_stay_so():
 def test_importance_weights_need_exact_probabilities():
     for kind in (PerStep, Trajectory, PerDecision):
         kind().actor(None, EpsilonGreedy(0.1))
-        with pytest.raises(ValueError, match="does not exist for EpsilonZGreedy"):
+        with pytest.raises(ValueError, match="EpsilonZGreedy"):
             kind().actor(None, EpsilonZGreedy())
 
 
 @pytest.mark.parametrize("strategy", [Argmax(), EpsilonGreedy(0.3), None])
 def test_the_behaviour_gradient_needs_a_differentiable_strategy(strategy):
-    with pytest.raises(ValueError, match="probabilities differentiable in the"):
+    with pytest.raises(ValueError, match="differentiable"):
         Behaviour().actor(None, strategy)
     assert Softmax().differentiable
 
@@ -167,5 +167,5 @@ def test_wrong_clips(clip):
 
 
 def test_an_action_that_cannot_have_been_taken():
-    with pytest.raises(ValueError, match="probability 0 under the behaviour policy"):
+    with pytest.raises(ValueError, match=r"probability 0.*behaviour policy"):
         log_ratio_of(torch.zeros(1), torch.tensor([-torch.inf]))

@@ -1,12 +1,83 @@
-"""The figures, one kind per file: arrays and an ``Axes`` in, drawn on it.
+"""The figures: one file for each, which says when it applies, draws it, and captions it.
 
-``trials``          every trial as a point (figures 2.1 to 2.4 and 3.1 to 3.3 of the thesis)
-``epsilon_decay``   ε by iteration (figure 2.5)
-``survival``        Kaplan-Meier curves with the numbers at risk
-``learning``        learning curves with bands
-``curves``          several curves on one panel
-``effects``         options in blocks of rows: pass rate and iterations
-``plane``           a map over two parameters
-``forest``          differences of all pairs with their intervals
-``power``           which difference so many trials find
+A new figure is one file and one line in ``KINDS``.
 """
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from trl_explore.report.evidence import GroupEvidence
+from trl_explore.report.figures import (
+    effects,
+    epsilon_decay,
+    forest,
+    learning,
+    plane,
+    power,
+    recorded,
+    survival,
+    trials,
+)
+from trl_explore.report.figures.kind import Kind
+from trl_explore.report.render import to_png, to_svg
+from trl_explore.report.style import visual_language
+
+KINDS: tuple[Kind, ...] = (
+    plane.PASS,
+    plane.ITERATIONS,
+    effects.EFFECTS,
+    survival.PANELS,
+    survival.SURVIVAL,
+    trials.SCORE,
+    trials.ITERATIONS,
+    trials.SECONDS,
+    trials.FRAMES,
+    epsilon_decay.EPSILON,
+    learning.LEARNING,
+    learning.PANELS,
+    learning.EVALUATION,
+    survival.FRAMES,
+    forest.FOREST,
+    power.POWER_OF_STUDY,
+    *recorded.DIAGNOSTIC_KINDS,
+    recorded.ENTROPY,
+)
+"""In the order of a section of the report."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A figure of the report; ``thesis`` is its number in the thesis, if it has one."""
+
+    id: str
+    kind: Kind
+    caption: str
+    alt: str
+    thesis: str | None
+    svg: str
+    png: bytes
+
+
+def draw_all(evidence: GroupEvidence) -> Iterator[Drawn]:
+    """Draw every figure of a group, in order."""
+    group = evidence.group
+    for kind in KINDS:
+        if not kind.applies(evidence):
+            continue
+        with visual_language():
+            figure = kind.draw(evidence)
+            svg, png = to_svg(figure), to_png(figure)
+        caption = kind.caption(evidence)
+        thesis = kind.thesis.get(group.experiment)
+        number = f"{thesis}-" if thesis else ""
+        yield Drawn(
+            id=f"{group.id}-{number.replace('.', '_')}{kind.name}",
+            kind=kind,
+            caption=caption,
+            alt=f"{kind.title}, {group.title}. {caption}",
+            thesis=thesis,
+            svg=svg,
+            png=png,
+        )

@@ -1,4 +1,4 @@
-"""What several figures do to their axes."""
+"""What several figures share: sizes, ticks, labels and legends."""
 
 from __future__ import annotations
 
@@ -8,14 +8,22 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import ArrayLike
 
-from trl_explore.report.style import INK, Style
+from trl_explore.report.style import INK, WIDTH, Style
 
 LOG_FROM = 30.0
 """Values that span more than this factor are drawn on a logarithmic axis."""
+
+
+def new_figure(height: float) -> Figure:
+    """An empty figure of the report's width and a height in inches."""
+    figure = Figure(figsize=(WIDTH, height))
+    figure.set_layout_engine("constrained", w_pad=0.06, h_pad=0.06)
+    return figure
 
 
 def spans_much(values: Sequence[ArrayLike]) -> bool:
@@ -67,6 +75,11 @@ def wrapped(label: str, width: int = 21, lines: int = 3) -> str:
     if len(parts) > lines:
         parts = [*parts[: lines - 1], parts[lines - 1][: width - 1] + "…"]
     return "\n".join(part.replace("\u00a0", " ") for part in parts)
+
+
+def line_count(label: str, width: int = 21) -> int:
+    """Into how many lines a label is wrapped."""
+    return wrapped(label, width).count("\n") + 1
 
 
 def handle(style: Style, label: str, *, line: bool = True) -> Line2D:

@@ -7,10 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from scipy import stats
 
-from trl_explore.report.figures.axes import plain_numbers, wrapped
+from trl_explore.report.evidence import GroupEvidence
+from trl_explore.report.figures.axes import new_figure, plain_numbers, wrapped
+from trl_explore.report.figures.kind import Kind, crossed, trials
+from trl_explore.report.figures.panels import legend_of, options_of
 from trl_explore.report.style import GRID, INK, Style
-from trl_explore.statistics.estimates import Estimate
+from trl_explore.statistics.estimates import LEVEL, Estimate
 
 GAP = 0.9
 """Space between blocks, in rows."""
@@ -65,3 +71,42 @@ def plot_effects(
     ax.grid(axis="x")
     ax.set_xlabel(quantity, color=INK)
     plain_numbers(ax.xaxis)
+
+
+def _draw(e: GroupEvidence) -> Figure:
+    """Pass rate and mean iterations of a crossed group, with the options in blocks of rows."""
+    group, layout = e.group, e.group.crossed
+    assert layout is not None
+    z = float(stats.norm.ppf((1.0 + LEVEL) / 2.0))
+    rates, means = [], []
+    for (row, option), name in layout.cells.items():
+        summary, style = e.summary(name), group.styles[name]
+        rate, mean, half = summary.pass_rate, summary.restricted_mean, summary.restricted_mean_se
+        percent = Estimate(100 * rate.value, 100 * rate.low, 100 * rate.high)
+        rates.append(Dot(row, option, percent, style))
+        means.append(Dot(row, option, Estimate(mean, mean - z * half, mean + z * half), style))
+    rows, n = layout.rows, len(layout.options)
+    figure = new_figure(1.25 + 0.155 * height(len(rows), 0, n))
+    left, right = figure.subplots(1, 2, sharey=True)
+    plot_effects(left, rates, rows, n, quantity="trials that pass, %")
+    plot_effects(right, means, rows, n, quantity="mean iterations")
+    right.tick_params(axis="y", labelleft=False)
+    left.set_xlim(-4, 104)
+    left.set_xticks([0, 25, 50, 75, 100])
+    right.xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 2.5, 5, 10]))
+    right.set_xlim(0, 1.04 * group.cap)
+    legend_of(left, options_of(group))
+    return figure
+
+
+def _caption(e: GroupEvidence) -> str:
+    layout = e.group.crossed
+    assert layout is not None
+    return (
+        f"Left: share of {trials(e)} trials that pass, with Wilson intervals. Right: mean number"
+        f" of iterations, a trial that failed counted as {e.group.cap:,}, with intervals of"
+        f" {100 * LEVEL:g} %. Circles: {layout.options[0]}."
+    )
+
+
+EFFECTS = Kind("effects", "What the options do", crossed, _draw, _caption, hero=True, why=True)

@@ -6,11 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from trl_explore.report.figures.axes import handle, legend_above, plain_numbers
+from trl_explore.report.evidence import GroupEvidence
+from trl_explore.report.figures.axes import handle, legend_above, new_figure, plain_numbers
+from trl_explore.report.figures.kind import Kind
 from trl_explore.report.style import Style
 
 MARKS = 6
+CHOSEN = 0.99
+"""The decay rate of the thesis."""
 
 
 def plot_epsilon(
@@ -47,3 +52,35 @@ def plot_epsilon(
     plain_numbers(ax.xaxis)
     handles = [handle(s, f"{r:g}") for r, s in zip(rates, styles, strict=True)]
     legend_above(ax, handles, columns=min(4, len(rates)), title="decay rate")
+
+
+def _rates(e: GroupEvidence) -> dict[float, str]:
+    """The decay rates of a group's decaying strategy -> name of the configuration."""
+    return {
+        float(c.parameters["decay"]): c.name
+        for c in e.group.configurations
+        if c.strategy == "decaying_epsilon_greedy"
+        and isinstance(c.parameters.get("decay"), int | float)
+    }
+
+
+def _draw(e: GroupEvidence) -> Figure:
+    rates = _rates(e)
+    figure = new_figure(3.2)
+    looks = [e.group.styles[name] for name in rates.values()]
+    end = min(e.group.cap, 600)
+    plot_epsilon(figure.subplots(), list(rates), looks, iterations=end, emphasised=CHOSEN)
+    return figure
+
+
+EPSILON = Kind(
+    "epsilon",
+    "ε under the decay rates",
+    lambda e: e.group.experiment == "decay_grid" and len(_rates(e)) > 0,
+    _draw,
+    lambda e: (
+        f"The share of actions drawn at random in each iteration. The thesis chose {CHOSEN}"
+        f" (thick), which halves ε every {np.log(0.5) / np.log(CHOSEN):.0f} iterations."
+    ),
+    thesis={"decay_grid": "2.5"},
+)

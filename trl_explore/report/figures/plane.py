@@ -6,11 +6,16 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from trl_explore.report.style import INK, MAP, MAP_INKS, MUTED
-from trl_explore.report.theme import contrast
+from trl_explore.report.evidence import GroupEvidence
+from trl_explore.report.figures.axes import new_figure
+from trl_explore.report.figures.kind import Kind, trials
+from trl_explore.report.figures.kind import plane as is_plane
+from trl_explore.report.style import INK, MAP, MAP_INKS, MUTED, contrast
+from trl_explore.statistics.summary import Summary
 
 
 def plot_plane(
@@ -82,3 +87,61 @@ def ink_on(color: str) -> str:
     '#101214'
     """
     return max(MAP_INKS, key=lambda ink: contrast(ink, color))
+
+
+def _draw(
+    e: GroupEvidence, title: str, value: Callable[[Summary], float], scale: tuple[float, float]
+) -> Figure:
+    layout = e.group.plane
+    assert layout is not None
+    values = np.full((len(layout.xs), len(layout.ys)), np.nan)
+    for place, name in layout.cells.items():
+        values[place] = value(e.summary(name))
+    marked = next((place for place, n in layout.cells.items() if n == layout.reference), None)
+    figure = new_figure(0.95 + 0.36 * len(layout.ys))
+    ax = figure.subplots()
+    plot_plane(
+        ax, values, layout.xs, layout.ys, x=layout.x, y=layout.y, scale=scale,
+        text=lambda value: f"{value:,.0f}", marked=marked,
+    )  # fmt: skip
+    ax.set_title(title, loc="left", color=INK)
+    return figure
+
+
+def _draw_pass(e: GroupEvidence) -> Figure:
+    return _draw(e, "trials that pass, %", lambda s: 100 * s.pass_rate.value, (0.0, 100.0))
+
+
+def _draw_iterations(e: GroupEvidence) -> Figure:
+    best = min(s.restricted_mean for s in e.summaries)
+    return _draw(e, "mean iterations", lambda s: s.restricted_mean, (float(e.group.cap), best))
+
+
+def _frame(e: GroupEvidence) -> str:
+    name = e.group.plane.reference if e.group.plane is not None else None
+    return f"Framed: {e.group.labels[name]}, the thesis’s softmax. " if name else ""
+
+
+def _pass_caption(e: GroupEvidence) -> str:
+    width = max(50 * (s.pass_rate.high - s.pass_rate.low) for s in e.summaries)
+    return (
+        f"Percent of {trials(e)} trials that pass; light is good. {_frame(e)}With so few trials, a"
+        f" cell is uncertain by up to ±{width:.0f} points: read the map for its shape."
+    )
+
+
+def _iterations_caption(e: GroupEvidence) -> str:
+    return (
+        "Mean number of iterations to convergence, a trial that failed counted as"
+        f" {e.group.cap:,}; light is fast. {_frame(e)}"
+    )
+
+
+PASS = Kind("map-pass", "Where trials pass", is_plane, _draw_pass, _pass_caption, hero=True)
+ITERATIONS = Kind(
+    "map-iterations",
+    "How many iterations they take",
+    is_plane,
+    _draw_iterations,
+    _iterations_caption,
+)

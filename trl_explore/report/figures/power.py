@@ -7,9 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from trl_explore.report.figures.axes import legend_above, plain_numbers
+from trl_explore.report.evidence import GroupEvidence
+from trl_explore.report.figures.axes import legend_above, new_figure, plain_numbers
+from trl_explore.report.figures.kind import Kind, few, whole_study
 from trl_explore.report.style import INK, MUTED
 from trl_explore.statistics.power import (
     POWER,
@@ -31,9 +34,7 @@ class Pair:
     told_apart: bool
 
 
-def plot_power(
-    ax: Axes, pairs: Sequence[Pair], *, trials: int, level: float, unit: str = "iterations"
-) -> None:
+def plot_power(ax: Axes, pairs: Sequence[Pair], *, trials: int, level: float) -> None:
     """Draw the smallest difference found with 80 % power by the number of trials.
 
     The line is the pair of median spread, the band reaches from the pair of smallest to that of
@@ -46,7 +47,6 @@ def plot_power(
         pairs: comparisons with a spread.
         trials: that were made per configuration.
         level: of one test.
-        unit: of the differences.
 
     """
     known = [p for p in pairs if np.isfinite(p.sd) and p.sd > 0]
@@ -68,7 +68,7 @@ def plot_power(
     ax.set_yscale("log")
     ax.set_xlim(1.6, right)
     ax.set_xlabel("trials per configuration (logarithmic)")
-    ax.set_ylabel(f"difference in {unit} (logarithmic)")
+    ax.set_ylabel("difference in iterations (logarithmic)")
     ax.grid()
     plain_numbers(ax.xaxis)
     plain_numbers(ax.yaxis)
@@ -82,3 +82,68 @@ def plot_power(
     legend_above(ax, handles[:2] + [h for h, k in zip(handles[2:], (True, False), strict=True)
                                     if k in present], columns=2)  # fmt: skip
     ax.tick_params(which="minor", color=MUTED)
+
+
+def _pairs(e: GroupEvidence) -> list[Pair]:
+    """The comparisons whose spread is known and not nil."""
+    labels = e.group.labels
+    return [
+        Pair(f"{labels[c.a]} vs. {labels[c.b]}", c.sd, c.difference.value, c.winner is not None)
+        for c in e.comparisons
+        if np.isfinite(c.sd) and c.sd > 0
+    ]
+
+
+def _trials(e: GroupEvidence) -> int:
+    return min(min(c.n_a, c.n_b) for c in e.comparisons)
+
+
+def _draw(e: GroupEvidence) -> Figure:
+    """At the level that the correction leaves to one pair."""
+    figure = new_figure(3.4)
+    plot_power(figure.subplots(), _pairs(e), trials=_trials(e), level=e.strict_level)
+    return figure
+
+
+def _caption(e: GroupEvidence) -> str:
+    pairs, n, level = _pairs(e), _trials(e), e.strict_level
+    low, high = (
+        float(detectable_difference(f([p.sd for p in pairs]), n, level=level)) for f in (min, max)
+    )
+    if n < (fewest := fewest_pairs(level)):
+        found = (
+            f"{n:,} trials per configuration find no difference, however large, after correction"
+            f" for {len(e.comparisons)} pairs; that needs {fewest}."
+        )
+    else:
+        found = (
+            f"With {n:,} trials per configuration, a difference of {low:,.0f} (the pair that"
+            f" varies least) to {high:,.0f} iterations (the one that varies most) is found with"
+            f" {100 * POWER:g} % power after correction for {len(e.comparisons)} pairs."
+        )
+    return (
+        f"{found} Each point is a pair: its observed difference, and how many trials would find"
+        " it. Points right of the dashed line need more trials than there were. Band: from the"
+        f" least to the most varying pair.{_unsettled(pairs, level)}"
+    )
+
+
+def _unsettled(pairs: Sequence[Pair], level: float, most: int = 3) -> str:
+    needed = [
+        (p.label, trials_for_difference(p.sd, p.difference, level=level))
+        for p in pairs
+        if not p.told_apart
+    ]
+    texts = [f"{label} {n:,}" for label, n in needed if n is not None][:most]
+    if not texts:
+        return ""
+    return f" Not told apart, and the trials that this would take: {'; '.join(texts)}."
+
+
+POWER_OF_STUDY = Kind(
+    "power",
+    "What this number of trials can show",
+    lambda e: whole_study(e) and few(e) and len(_pairs(e)) > 0,
+    _draw,
+    _caption,
+)

@@ -7,11 +7,23 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from trl_explore.report.figures.axes import plain_numbers, spans_much, wrapped
+from trl_explore.report.evidence import GroupEvidence
+from trl_explore.report.figures.axes import (
+    line_count,
+    new_figure,
+    plain_numbers,
+    spans_much,
+    wrapped,
+)
+from trl_explore.report.figures.kind import Kind, crossed, passed, plain, trials, whole_study
+from trl_explore.report.figures.panels import Panel, draw_panels, panels_of
 from trl_explore.report.style import INK, MUTED, Style
-from trl_explore.statistics.survival import SurvivalCurve, number_at_risk
+from trl_explore.statistics.estimates import LEVEL
+from trl_explore.statistics.outcomes import convergence_times
+from trl_explore.statistics.survival import SurvivalCurve, kaplan_meier, number_at_risk
 
 MARKS = 9
 BANDS_UP_TO = 6
@@ -29,7 +41,12 @@ class Row:
 
 
 def plot_survival(
-    ax: Axes, rows: Sequence[Row], *, time: str, horizon: float | None = None
+    ax: Axes,
+    rows: Sequence[Row],
+    *,
+    time: str,
+    title: str = "trials not yet converged",
+    horizon: float | None = None,
 ) -> None:
     """Draw Ŝ(t), the share of trials that have not converged by t, with pointwise bands.
 
@@ -37,6 +54,7 @@ def plot_survival(
         ax: empty axes.
         rows: configurations.
         time: name and unit of the horizontal axis.
+        title: of the panel.
         horizon: where the axis ends; None: at the last time of any row.
 
     """
@@ -59,24 +77,10 @@ def plot_survival(
     ax.set_xlim(start, end * (1.05 if log else 1.02))
     ax.set_ylim(-0.02, 1.02)
     ax.set_yticks(np.linspace(0, 1, 5), ["0 %", "25 %", "50 %", "75 %", "100 %"])
-    ax.set_title("trials not yet converged", loc="left", color=INK)
+    ax.set_title(wrapped(title, 28), loc="left", color=INK)
     ax.set_xlabel(time + (" (logarithmic)" if log else ""))
     ax.grid()
     plain_numbers(ax.xaxis)
-
-
-def plot_survival_panel(ax: Axes, rows: Sequence[Row], *, title: str, horizon: float) -> None:
-    """The same as one of several panels: its title is its own, the legend that of the figure.
-
-    Args:
-        ax: empty axes.
-        rows: configurations.
-        title: of the panel.
-        horizon: where the axis ends.
-
-    """
-    plot_survival(ax, rows, time="", horizon=horizon)
-    ax.set_title(wrapped(title, 28), loc="left", color=INK)
 
 
 def plot_numbers_at_risk(ax: Axes, rows: Sequence[Row], times: Sequence[float]) -> None:
@@ -104,3 +108,85 @@ def plot_numbers_at_risk(ax: Axes, rows: Sequence[Row], times: Sequence[float]) 
         )  # fmt: skip
         for time, count in zip(times, number_at_risk(row.durations, times), strict=True):
             ax.text(time, y, f"{count}", ha="center", va="center", fontsize=8, color=INK)
+
+
+def draw_survival(e: GroupEvidence, unit: str) -> Figure:
+    """Kaplan-Meier curves in iterations or frames, with the numbers at risk below them."""
+    rows = _rows(e, [c.name for c in e.group.configurations], unit)
+    below = 0.19 * (len(rows) * max(0.8 * line_count(row.label) + 0.2 for row in rows) + 1.2)
+    figure = new_figure(3.1 + below)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.6, below])
+    upper.tick_params(labelbottom=True)
+    plot_survival(upper, rows, time=unit)
+    low, high = upper.get_xlim()
+    plot_numbers_at_risk(lower, rows, [t for t in upper.get_xticks() if low <= t <= high])
+    return figure
+
+
+def _rows(e: GroupEvidence, names: Sequence[str], unit: str) -> list[Row]:
+    group, rows = e.group, []
+    end = max(int(c.frames.max()) for c in group.configurations)
+    by_name = {c.name: c for c in group.configurations}
+    for name in names:
+        durations, converged = convergence_times(by_name[name], unit)
+        if unit == "frames":  # failed trials stay at risk to the end of the common axis
+            durations = np.where(converged, durations, end)
+        curve = kaplan_meier(durations, converged)
+        rows.append(Row(group.labels[name], curve, durations, group.styles[name]))
+    return rows
+
+
+def _draw_panels(e: GroupEvidence) -> Figure:
+    end = float(max(int(c.durations.max()) for c in e.group.configurations))
+
+    def draw(ax: Axes, panel: Panel) -> None:
+        rows = _rows(e, panel.names, "iterations")
+        plot_survival(ax, rows, time="", title=panel.title, horizon=end)
+
+    return draw_panels(e.group, draw, panels_of(e.group), "iterations", "trials not yet converged")
+
+
+def _caption(e: GroupEvidence) -> str:
+    many = len(e.group.configurations) > BANDS_UP_TO
+    bands = "" if many else f" Bands: {100 * LEVEL:g} % intervals."
+    return (
+        f"Each curve falls as trials converge; the sooner and deeper it falls, the better. What is"
+        f" left at {e.group.cap:,} iterations was stopped there without passing. {passed(e)}"
+        f"{bands} Below: how many of {trials(e)} trials are still learning (Kaplan–Meier)."
+    )
+
+
+def _frames_caption(e: GroupEvidence) -> str:
+    return (
+        "The same against environment steps, which cost the same on every machine. Trials that"
+        " failed count as still learning to the end of the axis: strategies that fail badly have"
+        " short episodes, and would look good if they left the count when they were stopped."
+    )
+
+
+def _panels_caption(e: GroupEvidence) -> str:
+    return (
+        "Each curve falls as trials converge; what is left at the end of the axis was stopped at"
+        f" the cap of {e.group.cap:,} iterations without passing (Kaplan–Meier)."
+        f" Bands: {100 * LEVEL:g} % intervals."
+    )
+
+
+SURVIVAL = Kind(
+    "survival",
+    "How many trials are still learning",
+    plain,
+    lambda e: draw_survival(e, "iterations"),
+    _caption,
+    hero=True,
+)
+PANELS = Kind(
+    "survival-panels", "How many trials are still learning", crossed, _draw_panels, _panels_caption
+)
+FRAMES = Kind(
+    "survival-frames",
+    "How many trials are still learning, in frames",
+    whole_study,
+    lambda e: draw_survival(e, "frames"),
+    _frames_caption,
+)

@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from trl_explore.report.figures.axes import legend_above, plain_numbers, spans_much, wrapped
+from trl_explore.report.evidence import GroupEvidence
+from trl_explore.report.figures.axes import (
+    legend_above,
+    line_count,
+    new_figure,
+    number,
+    plain_numbers,
+    spans_much,
+    wrapped,
+)
+from trl_explore.report.figures.kind import Kind, by, each, few, passed
 from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style
+from trl_explore.statistics.outcomes import Outcomes
 
 RASTER_FROM = 400
 """Points per row from which they are drawn as an image, to keep an SVG small."""
@@ -177,3 +189,117 @@ def _legend(present: set[str]) -> list[Line2D]:
     bar = Line2D([], [], color=INK, lw=1.6, marker="|", ms=8, mew=1.8)
     bar.set_label("median and middle half")
     return [*handles, bar]
+
+
+def _draw(
+    e: GroupEvidence,
+    values: Callable[[Outcomes], tuple[Outcomes, NDArray[np.float64]]],
+    quantity: str,
+    line: tuple[float, str] | None = None,
+    *,
+    may_be_log: bool = True,
+) -> Figure:
+    """One row of points per configuration that ``values`` gives any for."""
+    rows = []
+    for c in e.group.configurations:
+        shown, numbers = values(c)
+        if len(shown):
+            label, style = e.group.short(c.name), e.group.styles[c.name]
+            rows.append(Row(label, numbers, shown.status, style))
+    figure = new_figure(1.3 + sum(max(0.42, 0.17 * line_count(row.label)) for row in rows))
+    plot_trials(
+        figure.subplots(), rows, quantity=quantity, of=e.group.parameter, line=line,
+        may_be_log=may_be_log,
+    )  # fmt: skip
+    return figure
+
+
+def _draw_score(e: GroupEvidence) -> Figure:
+    quantity = f"mean score of the last {e.group.window} episodes"
+    line = e.group.threshold, f"passes above {e.group.threshold:g}"
+    return _draw(e, lambda c: (c, c.score.astype(np.float64)), quantity, line, may_be_log=False)
+
+
+def _score_caption(e: GroupEvidence) -> str:
+    return (
+        f"One point per trial. {passed(e)} A trial stops as soon as its score passes"
+        f" {e.group.threshold:g}, so that passing trials lie just above the line, except those"
+        f" that had passed before their {e.group.window}th episode."
+    )
+
+
+def _draw_iterations(e: GroupEvidence) -> Figure:
+    line = e.group.cap, f"cap: {e.group.cap:,} iterations"
+    return _draw(
+        e, lambda c: (c, c.durations.astype(np.float64)), "iterations to convergence", line
+    )
+
+
+def _iterations_caption(e: GroupEvidence) -> str:
+    return (
+        f"Hollow points at the cap are not measurements of {e.group.cap:,} iterations: those trials"
+        " would have needed more, or would never have passed."
+        f" Medians{by(e)}: {each(e, _median)}."
+    )
+
+
+def _median(c: Outcomes) -> str:
+    # The lower median: of an even number of trials the one that is reached first.
+    middle = np.sort(np.where(c.converged, c.durations, np.inf))[(len(c) - 1) // 2]
+    return number(float(middle)) if np.isfinite(middle) else "not reached"
+
+
+def _seconds_caption(e: GroupEvidence) -> str:
+    seconds = {c.name: e.group.timed(c)[1] for c in e.group.configurations}
+    counts = {len(s) for s in seconds.values()} - {0}
+    some = f"{min(counts)}" if len(counts) == 1 else f"{min(counts)} to {max(counts)}"
+
+    def mean(c: Outcomes) -> str:
+        return f"{seconds[c.name].mean():.3g} s" if len(seconds[c.name]) else "not timed"
+
+    return (
+        f"Each trial was run by itself, in random order, after a warm-up; {some} trials per"
+        f" configuration. Means{by(e)}: {each(e, mean)}. Seconds depend on program and machine:"
+        " here an iteration has a fixed cost beside that of its frames, which weighs on trials of"
+        " many short episodes. The next figure does not depend on them."
+    )
+
+
+def _draw_frames(e: GroupEvidence) -> Figure:
+    quantity = "frames (environment steps) until the trial stopped"
+    return _draw(e, lambda c: (c, c.frames.astype(np.float64)), quantity)
+
+
+def _frames_caption(e: GroupEvidence) -> str:
+    means = each(e, lambda c: f"{c.frames.mean():,.0f}")
+    return (
+        "Environment steps until a trial stopped, the cost of learning that does not depend on the"
+        f" machine. A trial that fails with short episodes uses few. Means{by(e)}: {means}."
+    )
+
+
+SCORE = Kind(
+    "score",
+    "Final score of every trial",
+    few,
+    _draw_score,
+    _score_caption,
+    thesis={"thesis": "3.1", "epsilon_grid": "2.1", "decay_grid": "2.3"},
+)
+ITERATIONS = Kind(
+    "iterations",
+    "Iterations of every trial",
+    few,
+    _draw_iterations,
+    _iterations_caption,
+    thesis={"thesis": "3.2", "decay_grid": "2.2"},
+)
+SECONDS = Kind(
+    "seconds",
+    "Seconds of single trials",
+    lambda e: any(len(e.group.timed(c)[1]) for c in e.group.configurations),
+    lambda e: _draw(e, e.group.timed, "seconds of a trial run by itself"),
+    _seconds_caption,
+    thesis={"thesis": "3.3", "decay_grid": "2.4"},
+)
+FRAMES = Kind("frames", "Frames of every trial", few, _draw_frames, _frames_caption)

@@ -1,0 +1,1 @@
+"""The command line: ``trl-explore train|report|status|time``."""

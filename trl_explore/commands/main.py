@@ -1,0 +1,57 @@
+"""``trl-explore COMMAND ...``: import only the module of the command, and run it.
+
+``python scripts/train.py ...`` is ``trl-explore train ...`` from a checkout.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from trl_explore.jobs import signals
+
+COMMANDS = {
+    "train": "train agents: one job, or a sweep of jobs (-m)",
+    "report": "turn job and sweep folders into one HTML page",
+    "status": "show which jobs are done, running, failed or left",
+    "time": "time single trials of finished jobs",
+}
+LABORATORY = {
+    "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas",
+    "safetensors", "scipy",
+}  # fmt: skip
+"""Modules of the packages that the commands need beyond the core, from the extra ``lab``."""
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        words: the name of the command and its arguments; by default those of the process.
+
+    Returns:
+        The exit status: 0, or 1 after one line on stderr that says what is wrong.
+    """
+    name, *arguments = (sys.argv[1:] if words is None else words) or ["--help"]
+    if name in ("-h", "--help"):
+        print("usage: trl-explore COMMAND ...\n")
+        print("\n".join(f"  {command:8}{text}" for command, text in COMMANDS.items()))
+        print("\ntrl-explore COMMAND --help shows the arguments of a command")
+        return 0
+    if name not in COMMANDS:
+        print(f"error: no command {name!r}; there are {', '.join(COMMANDS)}", file=sys.stderr)
+        return 1
+    if name == "train":
+        signals.leave_on_signals()
+    sys.argv = [f"trl-explore {name}", *arguments]
+    try:
+        command = import_module(f"trl_explore.commands.{name}")
+    except ModuleNotFoundError as error:
+        if error.name not in LABORATORY:
+            raise
+        print(
+            f"error: {error.name} is not installed: pip install 'trl_explore[lab]'", file=sys.stderr
+        )
+        return 1
+    return command.main()

@@ -1,0 +1,34 @@
+"""Report: ``trl-explore report DIR [DIR ...] [--out DIR]``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from trl_explore.jobs.columns import ResultsError
+from trl_explore.report.build import build_report
+
+
+def main() -> int:
+    """Make the report; anything that is wrong is one line on stderr, and status 1."""
+    parser = argparse.ArgumentParser(
+        description="Turn any set of job and sweep folders into one HTML page with its figures"
+        " and tables."
+    )
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="job or sweep folder")
+    parser.add_argument("--out", type=Path, help="where to write it (default: first DIR/report)")
+    arguments = parser.parse_args()
+    out = arguments.out or arguments.folders[0] / "report"
+    try:
+        page, gaps = build_report(arguments.folders, out)
+    except ResultsError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"error: cannot write {error.filename}: {error.strerror}", file=sys.stderr)
+        return 1
+    for gap in gaps:
+        print(f"warning: left out {gap.what}: {gap.why}", file=sys.stderr)
+    print(page)
+    return 0

@@ -1,0 +1,31 @@
+"""Status: ``trl-explore status DIR [DIR ...] [--all]``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.status import SHOWN, report, survey
+
+
+def main() -> int:
+    """Show how far sweeps are; anything that is wrong is one line on stderr, and status 1."""
+    parser = argparse.ArgumentParser(
+        description="Show which jobs of a sweep are done, running, failed or left."
+    )
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="job or sweep folder")
+    parser.add_argument(
+        "--all", action="store_true", help=f"the finished jobs too, of sweeps with over {SHOWN}"
+    )
+    arguments = parser.parse_args()
+    try:
+        for sweep in survey(arguments.folders):
+            print(report(sweep, everything=arguments.all))
+    except ResultsError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:  # the reader, as in "| head", has seen enough
+        sys.stderr.close()
+    return 0

@@ -1,0 +1,261 @@
+"""The results in sentences: who is fastest, which differences are real, what options do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from trl_explore.statistics.comparisons import Comparison
+from trl_explore.statistics.estimates import LEVEL, pass_rate
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.thesis import FAILS, HOLDS, NOT_MEASURED, OPEN, Checked
+
+MOST = 6
+"""Names in a list of a sentence."""
+
+
+def answer(
+    configurations: Sequence[Outcomes],
+    comparisons: Sequence[Comparison],
+    *,
+    labels: Mapping[str, str] | None = None,
+    level: float = LEVEL,
+) -> tuple[str, str]:
+    """State which configuration converges fastest, and which differences are real.
+
+    A smaller mean makes no configuration the fastest. One leads where interval and corrected test
+    exclude zero against every other; if none does, those that cannot be told apart share the first
+    place.
+
+    Args:
+        configurations: the configurations of one experiment, any number.
+        comparisons: ``compare_all`` of them; empty where they cannot be compared.
+        labels: what to call a configuration instead of its name.
+        level: confidence level, also of ``comparisons``.
+
+    Returns:
+        Two sentences, plain text that is not escaped.
+
+    """
+    name = {c.name: (labels or {}).get(c.name, c.name) for c in configurations}
+    return (
+        _fastest(configurations, comparisons, name, level),
+        _differences(configurations, comparisons, name),
+    )
+
+
+def because(causes: Sequence[Checked]) -> str:
+    """State whether the strategies differ by their exploration, or by the bias of their gradient.
+
+    Where the actions come from another policy μ than the one that learns, π, the gradient is that
+    of neither.
+
+    Args:
+        causes: the checked statements on what the bias explains.
+
+    Returns:
+        A sentence; empty where none of the statements was measured.
+
+    """
+    words = {HOLDS: "this holds", FAILS: "this does not hold", OPEN: "this is open"}
+    said = [
+        f"“{c.claim.statement.rstrip('.')}”: {words[c.finding.verdict]}"
+        for c in causes
+        if c.finding.verdict in words
+    ]
+    if not said:
+        return ""
+    return (
+        "Exploration is not all that differs: an agent that acts by another policy than the one"
+        f" it learns follows a gradient that belongs to neither. {'; '.join(said)}."
+    )
+
+
+def verdicts(checked: Sequence[Checked]) -> str:
+    """State how many of the thesis's statements hold, do not hold, and are open."""
+    measured = [c for c in checked if c.finding.verdict != NOT_MEASURED]
+    if not measured:
+        return "None of the thesis's statements could be checked with these data."
+    by = {v: [c for c in checked if c.finding.verdict == v] for v in (HOLDS, FAILS, OPEN)}
+    parts = [_count(len(by[HOLDS]), "holds", "hold")]
+    refuted = [f"“{c.claim.statement.rstrip('.')}”" for c in by[FAILS]]
+    more = f" and {len(refuted) - 3} more" if len(refuted) > 3 else ""
+    examples = f" ({'; '.join(refuted[:3])}{more})" if refuted else ""
+    parts.append(_count(len(refuted), "does not hold", "do not hold") + examples)
+    needed = [c.finding.trials_needed for c in by[OPEN] if c.finding.trials_needed is not None]
+    which = "it" if len(by[OPEN]) == 1 else "the last of those that can be computed"
+    settle = f" (to settle {which} takes {max(needed):,} of each configuration)" if needed else ""
+    still = "open at this number of trials"
+    parts.append(_count(len(by[OPEN]), f"is {still}", f"are {still}") + settle)
+    missing = len(checked) - len(measured)
+    if missing:
+        parts.append(_count(missing, "was not measured", "were not measured"))
+    return f"Of the thesis's {len(checked)} statements {_list(parts)}."
+
+
+def option_sentences(
+    comparisons: Sequence[Comparison], cells: Mapping[str, tuple[str, str]]
+) -> tuple[str, ...]:
+    """One sentence for each option: where it needs fewer iterations than the first one, or more.
+
+    Args:
+        comparisons: of the first option with another one in the same row, corrected together.
+        cells: name of a configuration -> (row, option), as readers call them.
+
+    """
+    by: dict[str, list[tuple[str, Comparison]]] = {}
+    for c in comparisons:
+        row, option = cells[c.b]
+        by.setdefault(option, []).append((row, c))
+    sentences = []
+    for option, found in by.items():
+        first = cells[found[0][1].a][1]
+        parts = []
+        for word, sign in (("fewer", 1), ("more", -1)):
+            rows = [
+                f"{row} ({sign * c.difference.value:,.0f})"
+                for row, c in found
+                if c.winner == (c.b if sign > 0 else c.a)
+            ]
+            if rows:
+                parts.append(f"{word} iterations under {_some(rows)}")
+        same = [r for r, c in found if _identical(c)]
+        if same:
+            parts.append(f"the very same trials under {_some(same)}")
+        never = [r for r, c in found if _never(c)]
+        if never:
+            parts.append(f"no trial passes with either under {_some(never)}")
+        unclear = [r for r, c in found if c.winner is None and not _identical(c) and not _never(c)]
+        if unclear:
+            parts.append(f"no difference beyond chance under {_some(unclear)}")
+        sentences.append(f"{_capital(option)} against {first}: {'; '.join(parts)}.")
+    return tuple(sentences)
+
+
+def plane_sentences(
+    configurations: Sequence[Outcomes],
+    comparisons: Sequence[Comparison],
+    labels: Mapping[str, str],
+    level: float,
+) -> tuple[str, ...]:
+    """How much of a plane passes, where it is fastest, and which points beat the reference."""
+    rates = [pass_rate(int(c.converged.sum()), len(c), level=level) for c in configurations]
+    best = min(configurations, key=lambda c: float(c.durations.mean()))
+    text = (
+        f"Of {len(configurations)} points, {sum(r.above(0.8) for r in rates)} pass in more than"
+        f" 80 % of trials and {sum(r.below(0.2) for r in rates)} in less than 20 % (intervals of"
+        f" {100 * level:g} %); the smallest mean, {best.durations.mean():.0f} iterations, was seen"
+        f" at {labels[best.name]}, which as the best of so many is flattered by chance."
+    )
+    if not comparisons:
+        return (text,)
+    faster = [c for c in comparisons if c.winner == c.b]
+    slower = [c for c in comparisons if c.winner == c.a]
+    named = f": {_some([labels[c.b] for c in faster])}" if faster else ""
+    return (
+        text,
+        f"Against {labels[comparisons[0].a]}, the thesis’s softmax, {len(faster)} of"
+        f" {len(comparisons)} points need fewer iterations beyond chance after Holm’s correction"
+        f"{named}; {len(slower)} need more.",
+    )
+
+
+def _fastest(
+    configurations: Sequence[Outcomes],
+    comparisons: Sequence[Comparison],
+    name: Mapping[str, str],
+    level: float,
+) -> str:
+    if not configurations:
+        return "No finished configuration was found, so that nothing can be said."
+    if len(configurations) == 1:
+        only = configurations[0]
+        passes = _passes(only, level)
+        return f"Only {name[only.name]} was run: {passes}, with nothing to compare it to."
+    passing = [c for c in configurations if c.converged.any()]
+    if not passing:
+        return f"None of the {len(configurations)} configurations passed in any trial."
+    if not comparisons:
+        return (
+            f"The {len(configurations)} configurations were stopped by different rules or share"
+            " their trials, so that they are not compared."
+        )
+    best = min(passing, key=lambda c: float(c.durations.mean()))
+    rivals = [c for c in configurations if c is not best]
+    equals = [c for c in rivals if _winner(best.name, c.name, comparisons) != best.name]
+    if equals:
+        others = _list([name[c.name] for c in equals])
+        return (
+            f"No single configuration of {len(configurations)} is fastest: {name[best.name]}"
+            f" cannot be told apart from {others} in iterations to convergence"
+            f" at the {100 * level:g} % level."
+        )
+    second = min(rivals, key=lambda c: float(c.durations.mean()))
+    margin = next(c for c in comparisons if {c.a, c.b} == {best.name, second.name})
+    sign = 1.0 if margin.a == best.name else -1.0
+    low, high = sorted(-sign * x for x in (margin.difference.low, margin.difference.high))
+    return (
+        f"{_capital(name[best.name])} converges fastest of {len(configurations)} configurations:"
+        f" it needs {best.durations.mean():.0f} iterations on average (counted to the cap of"
+        f" {best.cap}), {-sign * margin.difference.value:.0f} fewer than the next,"
+        f" {name[second.name]} ({100 * level:g} % interval {low:.0f} to {high:.0f}), and"
+        f" {_passes(best, level)}."
+    )
+
+
+def _differences(
+    configurations: Sequence[Outcomes], comparisons: Sequence[Comparison], name: Mapping[str, str]
+) -> str:
+    failing = [name[c.name] for c in configurations if not c.converged.any()]
+    never = f"{_list(failing)} never passed" if failing else ""
+    if not comparisons:
+        return f"No differences were tested{f', and {never}' if never else ''}."
+    real = [c for c in comparisons if c.winner is not None]
+    n = min(min(c.n_a, c.n_b) for c in comparisons)
+    what = "pair differs" if len(comparisons) == 1 else "pairs differ"
+    text = (
+        f"{len(real)} of {len(comparisons)} {what} in iterations beyond chance after Holm's"
+        f" correction, with {n} trials or more per configuration"
+    )
+    unclear = [f"{name[c.a]} and {name[c.b]}" for c in comparisons if c.winner is None]
+    if unclear:
+        more = f" and {len(unclear) - 3} more" if len(unclear) > 3 else ""
+        text += f"; not told apart: {'; '.join(unclear[:3])}{more}"
+    return text + (f"; {never}." if never else ".")
+
+
+def _winner(a: str, b: str, comparisons: Sequence[Comparison]) -> str | None:
+    return next((c.winner for c in comparisons if {c.a, c.b} == {a, b}), None)
+
+
+def _passes(c: Outcomes, level: float) -> str:
+    k, n = int(c.converged.sum()), len(c)
+    if n == 0:
+        return "it has no trials"
+    rate = pass_rate(k, n, level=level)
+    bounds = f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %"
+    return f"it passes in {k} of {n} trials ({100 * level:g} % interval {bounds})"
+
+
+def _identical(c: Comparison) -> bool:
+    """Whether every trial took as many iterations under both, and some converged."""
+    return c.sd == 0 and c.difference.value == 0 and not _never(c)
+
+
+def _never(c: Comparison) -> bool:
+    return c.mean_a == c.mean_b == c.cap
+
+
+def _some(words: Sequence[str]) -> str:
+    return _list([*words[:MOST], f"{len(words) - MOST} more"] if len(words) > MOST else words)
+
+
+def _list(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
+
+
+def _count(n: int, one: str, many: str) -> str:
+    return f"{n} {one if n == 1 else many}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:] if text[:1].isascii() else text  # ε has no capital

@@ -1,0 +1,190 @@
+"""Procedures on shares: in how many trials something happens, by Wilson's interval.
+
+A function that returns a :data:`Decision` serves several claims of one shape.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from trl_explore.names import strategy_label
+from trl_explore.statistics.estimates import pass_rate
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.pairing import pair_indices, trial_keys
+from trl_explore.statistics.power import trials_for_rate_bound
+from trl_explore.statistics.survival import probability_faster
+from trl_explore.thesis import rules
+from trl_explore.thesis.rules import OPEN, Decision, Finding
+from trl_explore.thesis.study import CAPS, NotMeasuredError, Study
+
+EPSILON, DECAY = 0.3, 0.99
+"""The thesis's parameters."""
+EARLY = 450
+
+
+def pass_rates(*strategies: str, **bound: float) -> Decision:
+    """The pass rate of each of the strategies is p > ``above``, or p < ``below``."""
+    return lambda study, rng: all_passing(
+        study,
+        {f"{strategy_label(name)} trials pass": study.strategy(name) for name in strategies},
+        **bound,
+    )
+
+
+def all_passing(study: Study, jobs: Mapping[str, Outcomes], **bound: float) -> Finding:
+    """The same for each configuration; the keys read "softmax trials pass"."""
+    return rules.all_of([rules.passing(o, what, **bound) for what, o in jobs.items()], study.level)
+
+
+def never_passes(strategy: str) -> Decision:
+    """No trial of a strategy passes."""
+
+    def decide(study: Study, rng: np.random.Generator) -> Finding:
+        o = study.strategy(strategy)
+        return rules.never(
+            int(o.converged.sum()), len(o), f"{strategy_label(strategy)} trials pass"
+        )(study.level)
+
+    return decide
+
+
+def never_fails(strategy: str) -> Decision:
+    """No trial of a strategy fails to pass."""
+    return lambda study, rng: _failures(study, strategy, rules.never)
+
+
+def sometimes_fails(strategy: str) -> Decision:
+    """At least one trial of a strategy does not pass."""
+    return lambda study, rng: _failures(study, strategy, rules.some)
+
+
+def _failures(study: Study, strategy: str, rule: Callable[..., rules.Rule]) -> Finding:
+    o = study.strategy(strategy)
+    return rule(int((~o.converged).sum()), len(o), f"{strategy_label(strategy)} trials fail")(
+        study.level
+    )
+
+
+def only_one_epsilon_passes(study: Study, rng: np.random.Generator) -> Finding:
+    """p(ε = 0.3) > 80 % and p(ε) < 80 % for every other ε of the grid."""
+    grid = study.grid("epsilon_grid", "epsilon")
+    if EPSILON not in grid or len(grid) < 2:
+        raise NotMeasuredError(f"the ε grid needs {EPSILON} and at least one other value")
+    return rules.all_of(
+        [
+            rules.passing(
+                o,
+                f"trials pass at ε = {epsilon:g}",
+                **{"above" if epsilon == EPSILON else "below": rules.ALMOST_ALWAYS},
+            )
+            for epsilon, o in grid.items()
+        ],
+        study.level,
+    )
+
+
+def decay_grid(study: Study) -> dict[float, Outcomes]:
+    """The grid of decay rates, which must have the thesis's and another one."""
+    grid = study.grid("decay_grid", "decay")
+    if DECAY not in grid or len(grid) < 2:
+        raise NotMeasuredError(f"the decay grid needs {DECAY} and at least one other rate")
+    return grid
+
+
+def higher_rates_pass(study: Study, rng: np.random.Generator) -> Finding:
+    """The pass rate is p > 90 % for every decay rate above the median of the grid."""
+    grid = decay_grid(study)
+    middle = float(np.median(list(grid)))
+    higher = {f"trials pass at rate {rate:g}": o for rate, o in grid.items() if rate > middle}
+    return all_passing(study, higher, above=rules.CONSISTENTLY)
+
+
+def best_rate_always_passes(study: Study, rng: np.random.Generator) -> Finding:
+    """No trial of the decay rate 0.99 fails."""
+    o = decay_grid(study)[DECAY]
+    what = f"trials fail at rate {DECAY}"
+    return rules.never(int((~o.converged).sum()), len(o), what)(study.level)
+
+
+def late_trials_never_converge(study: Study, rng: np.random.Generator) -> Finding:
+    """P(converges by 5000 | not converged at 1000) < ½ over all rates of the decay grid.
+
+    The rates share their trials, so that their runs are not independent evidence. The interval
+    is that of Kish's effective number of trials, (Σ m)² / Σ m² for trials with m pending runs.
+    """
+    grid = decay_grid(study)
+    late, runs = 0, Counter[tuple[int, int]]()
+    for o in grid.values():
+        pending = o.durations > CAPS["thesis"]
+        late += int((pending & o.converged).sum())
+        runs.update(key for key, p in zip(trial_keys(o), pending, strict=True) if p)
+    total = runs.total()
+    if total == 0:
+        raise NotMeasuredError(f"every trial of the grid converged within {CAPS['thesis']}")
+    n = total**2 // sum(m**2 for m in runs.values())
+    finding = rules.share(late / total * n, n, "runs", below=rules.MOSTLY)(study.level)
+    needed = finding.trials_needed
+    if needed is not None:
+        # Only trials that are still running at 1000 count, and not all of them fully.
+        needed = -(-needed * max(len(o) for o in grid.values()) // n)
+    text = (
+        f"{late} of {total} runs unconverged at {CAPS['thesis']} converge later:"
+        f" {rules.percent(pass_rate(late / total * n, n, level=study.level))}"
+        f" ({len(runs)} different trials, worth {n} independent ones)"
+    )
+    return Finding(finding.verdict, text, needed)
+
+
+def argmax_needs_450(study: Study, rng: np.random.Generator) -> Finding:
+    """No trial of argmax converges before iteration 450."""
+    o = study.strategy("argmax")
+    passed = o.iterations[o.converged]
+    if len(passed) == 0:
+        return Finding(OPEN, f"0 of {len(o)} argmax trials pass")
+    early = int((passed < EARLY).sum())
+    what = f"passing argmax trials take fewer than {EARLY} iterations"
+    finding = rules.never(early, len(passed), what)(study.level)
+    needed = finding.trials_needed
+    if needed is not None:
+        # Only trials that pass count: a trial is worth the present pass rate of one.
+        needed = -(-needed * len(o) // len(passed))
+    text = f"{finding.evidence}; the fastest takes {passed.min()}"
+    return Finding(finding.verdict, text, needed)
+
+
+def random_scores_between(study: Study, rng: np.random.Generator) -> Finding:
+    """P(20 ≤ final score ≤ 25) > 90 %."""
+    score = study.strategy("random").score
+    inside = int(np.count_nonzero((score >= 20) & (score <= 25)))
+    what = "random trials score 20 to 25"
+    return rules.share(inside, len(score), what, above=rules.CONSISTENTLY)(study.level)
+
+
+def softmax_performs_best(study: Study, rng: np.random.Generator) -> Finding:
+    """P(softmax converges first) > ½ against each of the other strategies."""
+    best = study.strategy("softmax")
+    others = [study.strategy(name) for name in study.strategies if name != "softmax"]
+    return rules.all_of([_faster(best, o) for o in others], study.level)
+
+
+def _faster(a: Outcomes, b: Outcomes) -> rules.Rule:
+    i, j = pair_indices(a, b)
+    paired = len(i) > 0
+    if not paired:
+        i, j = np.arange(len(a)), np.arange(len(b))
+    n = min(len(i), len(j))
+
+    def rule(level: float) -> Finding:
+        times = a.durations[i], a.converged[i], b.durations[j], b.converged[j]
+        chance = probability_faster(*times, paired=paired, level=level)
+        verdict = rules.decided(chance.above(0.5), chance.below(0.5))
+        needed = trials_for_rate_bound(chance.value, 0.5, level=level)
+        first, second = strategy_label(a.strategy), strategy_label(b.strategy)
+        text = f"{first} converges before {second} in {rules.percent(chance)}"
+        design = f"({n} {'pairs' if paired else 'trials'})"
+        return Finding(verdict, f"{text} {design}", rules.more(verdict, needed, n))
+
+    return rule
