@@ -213,7 +213,7 @@ class ProcessCopies(Copies):
                 f"environment {self.id!r} in a process of its own: {error}"
             ) from None
         except BaseException:
-            self._end()  # an answer that nobody waits for would be taken for the next one's
+            self._end()  # an answer that is not awaited would be taken for the next one's
             raise
 
     def _start(self) -> None:

@@ -35,8 +35,8 @@ class LaneVectorEnv(VectorEnv):
 
     An environment whose reset gives ``info["action_mask"]`` has masks: the lanes' ``info`` then
     holds "action_mask" [n, n_actions], bool, False where an action is not allowed. Where a last
-    observation allows none, all are, since nobody acts there. Actions of a Box are clipped to its
-    bounds.
+    observation allows none, all are, since no action is taken there. Actions of a Box are clipped
+    to its bounds.
 
     Args:
         id: gymnasium id.

@@ -9,7 +9,7 @@ from trl_explore.numerics.dispatch import check_frames, compiled, serves
 
 
 def return_to_go(reward: Tensor, done: Tensor, gamma: float, trial: Tensor | None = None) -> Tensor:
-    """G_t = r_t + γ · G_{t+1}, with G_{t+1} = 0 behind a frame that is done, and behind the last.
+    """G_t = r_t + γ · G_{t+1}, with G_{t+1} = 0 after a frame that is done, and after the last.
 
     Time is the last dimension; any number of episodes may follow each other along it. This is
     ``discount_rewards`` of the thesis (appendix A.2). A truncated episode is cut where it was

@@ -49,7 +49,7 @@ class ReinforceLoss(LossModule):
     Adam divides a constant factor such as w out again, but for its ε = 1e-8.
 
     An episode ends where "done" is true. *Terminated* and *truncated* episodes are treated alike:
-    the return stops with the last reward, nothing is bootstrapped behind a time limit; so is an
+    the return stops with the last reward, nothing is bootstrapped after a time limit; so is an
     episode that the data break off. Data of two layouts are served:
 
     * flat [frames], the episodes of one or more trials one after the other ("trial" says whose;

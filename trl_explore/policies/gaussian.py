@@ -26,7 +26,7 @@ class LaneGaussian(nn.Module):
         network: the mean, and the initial weights of its layers.
         log_scale: [n_dims], the first logarithm of the scale.
         state_dependent: whether the network gets n_dims outputs more, zero at first, that are added
-            to ``log_scale``, then a constant; otherwise ``log_scale`` [trials, n_dims] is learned.
+            to ``log_scale``, then a constant; else ``log_scale`` [trials, n_dims] is learned.
     """
 
     def __init__(self, network: LaneMLP, log_scale: Tensor, *, state_dependent: bool) -> None:
@@ -54,7 +54,7 @@ class LaneGaussian(nn.Module):
 
 
 def _doubled(weights: Tensor) -> Tensor:
-    """[trials, n_out, ...] with as many zeros behind."""
+    """[trials, n_out, ...] with as many zeros appended."""
     return torch.cat([weights, torch.zeros_like(weights)], 1)
 
 

@@ -1,4 +1,4 @@
-"""Initial weights: every trial's from a stream of its own, whoever stands beside it."""
+"""Initial weights: each trial's come from a stream of its own, whatever trials are beside it."""
 
 from __future__ import annotations
 
@@ -102,10 +102,10 @@ def initial_weights(
         check_integer("the size of a layer", size, 1, WIDEST)
     layers = [(n_out, n_in) for n_in, n_out in pairwise(sizes)]
     weights = [np.empty((trials, *layer), dtype=np.float32) for layer in layers]
-    for lane in range(trials):
-        draws = generator(seed, Stream.WEIGHTS, first_trial + lane, network)
+    for trial in range(trials):
+        draws = generator(seed, Stream.WEIGHTS, first_trial + trial, network)
         for weight, layer in zip(weights, layers, strict=True):
-            weight[lane] = INITS[init](draws, *layer)
+            weight[trial] = INITS[init](draws, *layer)
     weights[-1] *= np.float32(output_gain)
     return [torch.from_numpy(weight) for weight in weights]
 

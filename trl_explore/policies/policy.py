@@ -52,12 +52,12 @@ def observation_space(env: EnvBase) -> gym.Space:
 
     from trl_explore.envs import lane_env
 
-    lane = lane_env(env).envs[0]
-    if isinstance(lane, gym.wrappers.DtypeObservation):
-        lane = lane.env
-    if isinstance(lane, gym.wrappers.FlattenObservation):
-        lane = lane.env
-    return lane.observation_space
+    inner = lane_env(env).envs[0]
+    if isinstance(inner, gym.wrappers.DtypeObservation):
+        inner = inner.env
+    if isinstance(inner, gym.wrappers.FlattenObservation):
+        inner = inner.env
+    return inner.observation_space
 
 
 def is_one_hot(env: EnvBase) -> bool:
@@ -96,7 +96,7 @@ class LaneMLP(nn.Module):
 
     h_0 is the input; φ = tanh or relu; biases begin at 0. No sum runs over frames of different
     trials, and each runs in a fixed order, so that a trial's outputs and gradients are the same,
-    bit for bit, whoever stands beside it.
+    bit for bit, whatever trials are beside it.
 
     Args:
         sizes: the numbers of inputs, of units of every hidden layer (any number of them), and of

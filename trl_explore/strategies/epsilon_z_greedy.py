@@ -35,7 +35,7 @@ class EpsilonZGreedy(Strategy):
     no log-probability is written, and importance weights cannot correct the data. ``probs`` is
     that of a frame in which no repetition runs: ε-greedy.
 
-    Each frame of a batch is the next one of a lane, a place in the batch. A lane begins anew in
+    Each frame of a batch is the next one of a lane, a place in the batch. A lane starts again in
     ``begin`` and, for collectors that do not call it, where "is_init" is true or "step_count" 0.
 
     Args:

@@ -266,9 +266,9 @@ def test_a_faulty_kernel_is_noticed(monkeypatch):
     env.gravity = 9.8
     kernel = kernel_of(env)
     env.gravity = 9.9
-    from trl_explore.envs.kernels import check
+    from trl_explore.envs.kernels import kernel as module
 
-    monkeypatch.setattr(check, "kernel_of", lambda _: kernel)
+    monkeypatch.setattr(module, "kernel_of", lambda _: kernel)
     with pytest.raises(AssertionError, match="in episode 0 at step"):
         check_kernel(env, episodes=3)
 
@@ -277,11 +277,11 @@ def test_a_faulty_mask_is_noticed(monkeypatch):
     env = make("Taxi-v4")
     faulty = kernel_of(env)
     faulty.parameters[5][:, 0] = True
-    from trl_explore.envs.kernels import check
+    from trl_explore.envs.kernels import kernel as module
 
-    monkeypatch.setattr(check, "kernel_of", lambda _: faulty)
+    monkeypatch.setattr(module, "kernel_of", lambda _: faulty)
     with pytest.raises(AssertionError, match="in episode"):
         check_kernel(env, episodes=3)
-    monkeypatch.setattr(check, "kernel_of", lambda _: replace(faulty, mask=None))
+    monkeypatch.setattr(module, "kernel_of", lambda _: replace(faulty, mask=None))
     with pytest.raises(AssertionError, match="mask None, not"):
         check_kernel(env, episodes=1)

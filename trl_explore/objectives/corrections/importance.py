@@ -13,7 +13,7 @@ class PerStep(ImportanceWeights):
     """A_t = ρ_t · (G_t − b_t), with ρ_t = π(a_t|s_t) / μ(a_t|s_t).
 
     Corrects which action was taken in s_t. What it leaves as it is: the states, which are those
-    that μ visits, and the rewards behind a_t, which are those of μ. So the expected gradient is
+    that μ visits, and the rewards after a_t, which are those of μ. So the expected gradient is
     Σ_s d_μ(s) Σ_a ∇π(a|s) Q_μ(s, a) (Degris, White & Sutton 2012, "Off-policy actor-critic",
     eq. 5, with Q_μ in the place of Q_π). It points uphill for π wherever Q_μ and Q_π order the
     actions alike. Exactly unbiased where μ = π, and for episodes of one step.

@@ -79,8 +79,8 @@ class LaneAdam:
         self.steps += 1
         correction1 = 1 - self.beta1**self.steps
         correction2 = 1 - self.beta2**self.steps
-        lanes = zip(self.parameters, self.rates, *(views() for views in self._views), strict=True)
-        for parameter, lr, p, m, v in lanes:
+        parts = zip(self.parameters, self.rates, *(views() for views in self._views), strict=True)
+        for parameter, lr, p, m, v in parts:
             if parameter.grad is None:
                 continue
             rows = np.ones(len(p), dtype=np.bool_) if which is None else which

@@ -61,7 +61,7 @@ def grouped(parameters: Parameters, lr: float) -> list[dict[str, Any]]:
 
 
 class Views:
-    """Arrays [rows, elements] in the memory of tensors; kept, and made anew where that has moved.
+    """Arrays [rows, elements] in the memory of tensors; kept, and replaced where that has moved.
 
     Args:
         tensors: on the CPU and contiguous; read at every call, so that others can take their place.
