@@ -1,7 +1,7 @@
 """What does the exploration strategy do to the learning of a policy-gradient agent?
 
-The names below are what most programs need; each is imported when it is first used. Everything
-else is in the rooms: ``strategies``, ``policies``, ``objectives``, ``envs``, ``collectors``,
+Most programs need only the names below; each is imported on first use. Everything else is in the
+subpackages: ``strategies``, ``policies``, ``objectives``, ``envs``, ``collectors``,
 ``training``, ``jobs``, ``statistics``.
 """
 

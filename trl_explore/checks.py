@@ -1,4 +1,4 @@
-"""Checks of arguments: one clear line that names the value and what is allowed."""
+"""Argument checks: each error is one line with the argument, its value and what is allowed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def check_number(
     """Return ``value`` as a float if it is a finite number within the bounds.
 
     Raises:
-        ValueError: otherwise; the message names the argument, the value and the range.
+        ValueError: if it is not; the message names the argument, the value and the range.
 
     Example:
         >>> check_number("epsilon", 0.3, 0, 1)
@@ -44,14 +44,14 @@ def check_number(
 
 MAX_THREADS = 64
 LARGEST = 2**63 - 1
-"""The largest integer that a column of the results holds."""
+"""The largest integer that a results column can hold."""
 
 
 def check_integer(name: str, value: Any, low: int, high: int | None = None) -> int:
     """Return ``value`` as an int if it is an integer from ``low`` to ``high``.
 
     Raises:
-        ValueError: otherwise; the message names the argument, the value and the bounds.
+        ValueError: if it is not; the message names the argument, the value and the bounds.
     """
     number = None
     if isinstance(value, Integral) and not isinstance(value, bool):
@@ -64,10 +64,10 @@ def check_integer(name: str, value: Any, low: int, high: int | None = None) -> i
 
 
 def check_flag(name: str, value: Any) -> bool:
-    """Return ``value`` if it is true or false.
+    """Return ``value`` if it is a bool.
 
     Raises:
-        ValueError: otherwise, naming the argument and the value.
+        ValueError: if it is not; the message names the argument and the value.
     """
     if not isinstance(value, bool):
         raise ValueError(f"{name} must be true or false, got {value!r}")
@@ -75,7 +75,7 @@ def check_flag(name: str, value: Any) -> bool:
 
 
 def interval(low: float, high: float, *, low_open: bool = False) -> str:
-    """The words for a range, such as ``in [0, 1]`` or ``> 0``."""
+    """A range in words, such as ``in [0, 1]`` or ``> 0``."""
     if math.isinf(high) and math.isinf(low):
         return "that is finite"
     if math.isinf(high):
@@ -86,17 +86,17 @@ def interval(low: float, high: float, *, low_open: bool = False) -> str:
 
 
 def settle(cls: type, attribute: str, value: bool, methods: Collection[str]) -> None:
-    """Set a declared attribute of a class that overrides a method without declaring it again.
+    """Set a declared attribute on a class that overrides a method without redeclaring it.
 
-    A class declares what it can do in an attribute. What a class inherits may not hold once it
-    overrides one of the methods that the declaration speaks of; call this in
-    ``__init_subclass__``, so that the declaration is then ``value`` unless the class states it.
+    Class attributes declare what a class can do. An inherited declaration may no longer hold once
+    a subclass overrides one of the methods it describes. Call this in ``__init_subclass__``: it
+    sets the attribute to ``value`` unless the subclass declares it.
 
     Args:
         cls: the new class.
         attribute: the name of the declaration.
-        value: the safe answer.
-        methods: the methods that the declaration speaks of.
+        value: the safe default.
+        methods: the methods that the declaration describes.
 
     Example:
         >>> class Base:

@@ -1,8 +1,8 @@
-"""The words for readers: one entry for every strategy, option, parameter and experiment.
+"""Labels for readers: one entry for every strategy, option, parameter and experiment.
 
 Code, files and the command line use keys (``epsilon_greedy``, ``PerStep``); sentences, figures
-and tables use these labels. This module imports nothing of the package, so that every room can
-read it.
+and tables use these labels. This module imports nothing from the package, so every other module
+can import it.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Any
 
 @dataclass(frozen=True)
 class StrategyName:
-    """A strategy for readers.
+    """How a strategy is presented to readers.
 
     Attributes:
-        label: what it is called.
-        look: colour, marker and line in every figure; None: the figure chooses.
-        does: what it does, completing "label: ...".
+        label: its name.
+        look: colour, marker and line style in every figure; None: the figure chooses.
+        does: what it does; completes "label: ...".
 
     """
 
@@ -40,33 +40,33 @@ STRATEGIES: Mapping[str, StrategyName] = {
     "softmax": StrategyName("softmax", ("#a8328c", "v", "solid"),
         "actions are drawn with the probabilities that the policy gives them"),
     "boltzmann": StrategyName("Boltzmann", ("#7a1f3d", "v", "dashes"),
-        "softmax at a temperature that falls from iteration to iteration"),
+        "softmax at a temperature that falls over the iterations"),
     "mixture": StrategyName("mixture", ("#c28100", "P", "dash-dot-dot"),
-        "the preferred action, softmax and a random action, each with a share"),
+        "a weighted mixture of the preferred action, softmax and a random action"),
     "max_boltzmann": StrategyName("max-Boltzmann", ("#697fea", "X", "solid"),
-        "with probability ε an action by softmax, else the preferred one"),
+        "with probability ε an action drawn by softmax, else the preferred one"),
     "epsilon_softmax": StrategyName("ε-softmax", ("#3f93cc", "<", "dashes"),
-        "with probability ε a random action, else one by softmax"),
+        "with probability ε a random action, else one drawn by softmax"),
     "epsilon_z_greedy": StrategyName("ε-z-greedy", ("#3b2f8f", "h", "dash-dot"),
-        "ε-greedy whose random actions are repeated for a random time"),
+        "ε-greedy that repeats each random action for a random number of steps"),
     "vdbe": StrategyName("VDBE", ("#2f9a9a", "p", "long dashes"),
-        "ε-greedy with an ε that follows how much the mean score still changes"),
+        "ε-greedy with an ε that tracks how much the mean score still changes"),
     "count_bonus": StrategyName("count bonus", ("#8c5b5b", ">", "dots"),
-        "softmax that prefers what has been tried less often in a state"),
+        "softmax with a bonus for actions tried less often in a state"),
     "parameter_noise": StrategyName("parameter noise", ("#678c4d", "d", "dash-dot-dot"),
         "softmax of a policy whose weights are perturbed once per episode"),
     "gaussian": StrategyName("Gaussian", None,
-        "actions are drawn from the Gaussian that the policy gives"),
+        "actions are drawn from the policy’s Gaussian"),
     "epsilon_uniform": StrategyName("ε-uniform", None,
-        "with probability ε any action of the box, else one by the Gaussian"),
+        "with probability ε an action uniform over the box, else one from the Gaussian"),
     "uniform_action": StrategyName("uniform action", None,
-        "any action of the box, drawn uniformly; nothing that was learned is used"),
+        "every action is drawn uniformly from the box; nothing that was learned is used"),
     "mean_action": StrategyName("mean action", None,
         "always the mean of the policy’s Gaussian; never explores"),
     "epsilon_mean": StrategyName("ε-mean", None,
-        "with probability ε any action of the box, else the mean"),
+        "with probability ε an action uniform over the box, else the mean"),
 }  # fmt: skip
-"""In the order of figures and tables: those of the thesis first."""
+"""In the order of figures and tables: the thesis's strategies first."""
 
 OPTIONS: Mapping[str, Mapping[str, str]] = {
     "correction": {
@@ -91,23 +91,23 @@ OPTIONS: Mapping[str, Mapping[str, str]] = {
         "GaussianMLPPolicy": "network",
     },
 }
-"""Group -> class of an option -> its label; the first of a group is what the thesis did."""
+"""Group -> class of an option -> label; the first option of a group is the thesis's."""
 
 SYMBOLS: Mapping[str, str] = {
     "epsilon": "ε", "decay": "decay rate", "temperature": "T", "sigma": "σ", "delta": "δ",
     "beta": "β",
 }  # fmt: skip
-"""Parameter of a strategy -> its symbol."""
+"""Strategy parameter -> symbol."""
 
 
 @dataclass(frozen=True)
 class ExperimentName:
-    """An experiment for readers.
+    """How an experiment is presented to readers.
 
     Attributes:
         title: heading of its section.
-        grid: whether it is a grid over one parameter of a strategy.
-        why: whether its corrections tell bias from exploration.
+        grid: whether it is a grid over one strategy parameter.
+        why: whether its corrections separate bias from exploration.
 
     """
 
@@ -120,7 +120,7 @@ EXPERIMENTS: Mapping[str, ExperimentName] = {
     "thesis": ExperimentName("The five strategies"),
     "corrections": ExperimentName("Strategies and corrections", why=True),
     "corrections_temperature": ExperimentName("Temperatures and corrections", why=True),
-    "debug": ExperimentName("A trial of the program"),
+    "debug": ExperimentName("A test run"),
     "epsilon_grid": ExperimentName("The choice of ε", grid=True),
     "decay_grid": ExperimentName("The choice of the decay rate", grid=True),
     "temperature_grid": ExperimentName("The choice of the temperature", grid=True),
@@ -130,11 +130,11 @@ EXPERIMENTS: Mapping[str, ExperimentName] = {
     "deep_policy": ExperimentName("Linear and deeper policies"),
     "frozenlake": ExperimentName("FrozenLake"),
 }
-"""In the order of a report; experiments without an entry stand where ``debug`` does."""
+"""In report order; an experiment without an entry is placed where ``debug`` is."""
 
 
 def strategy_label(name: str) -> str:
-    """A strategy as readers call it: ``epsilon_greedy`` is ε-greedy.
+    """The label of a strategy: ``epsilon_greedy`` -> ε-greedy.
 
     >>> strategy_label("upper_bound")
     'upper bound'
@@ -143,7 +143,7 @@ def strategy_label(name: str) -> str:
 
 
 def option_label(group: str, option: str) -> str:
-    """An option as readers call it, given its class.
+    """The label of an option, given its class.
 
     >>> option_label("correction", "PerStep")
     'per-step ratio'
@@ -152,9 +152,9 @@ def option_label(group: str, option: str) -> str:
 
 
 def option_of(config: Mapping[str, Any], group: str) -> str:
-    """The class of the option that a configuration has of a group: ``PerStep``.
+    """The class of the option that a configuration chooses in a group, such as ``PerStep``.
 
-    Where the configuration does not name any, the first of the group, as in the thesis.
+    If it chooses none: the first option of the group, as in the thesis.
     """
     section = config.get(group)
     target = section.get("_target_") if isinstance(section, Mapping) else None
@@ -162,7 +162,7 @@ def option_of(config: Mapping[str, Any], group: str) -> str:
 
 
 def symbol(key: str) -> str:
-    """What readers call a parameter or a group: ``temperature`` is T.
+    """The label of a parameter or group: ``temperature`` -> T.
 
     >>> symbol("correction._target_")
     'correction'
@@ -176,10 +176,10 @@ def symbol(key: str) -> str:
 
 
 def experiment(name: str) -> ExperimentName:
-    """The entry of an experiment; one without an entry has its name as its title."""
+    """The entry of an experiment; without one, its name is its title."""
     return EXPERIMENTS.get(name, ExperimentName(name))
 
 
 def experiment_rank(name: str) -> int:
-    """Where an experiment stands in a report."""
+    """The position of an experiment in a report."""
     return list(EXPERIMENTS).index(name if name in EXPERIMENTS else "debug")

@@ -336,10 +336,10 @@ def test_values_per_trial_have_to_be_one_for_each():
     strategy = EpsilonGreedy([0.1, 0.2])
     strategy.bind(TensorDictModuleBase(), 2)
     for trials in (1, 3):
-        with pytest.raises(ValueError, match=rf"2 values.*{trials} trials"):
+        with pytest.raises(ValueError, match=rf"^epsilon has 2 values.*{trials} trials"):
             strategy.bind(TensorDictModuleBase(), trials)
     EpsilonGreedy(0.1).bind(TensorDictModuleBase(), 7)
-    with pytest.raises(ValueError, match=r"1 values.*2 trials"):
+    with pytest.raises(ValueError, match=r"^temperature has 1 values.*2 trials"):
         Softmax([1.0]).bind(TensorDictModuleBase(), 2)
 
 

@@ -1,4 +1,4 @@
-"""Strategies: what a policy's preferences become when actions are really drawn."""
+"""Strategies: behaviour distributions μ(·|s) made from the output of a target policy."""
 
 from trl_explore.strategies.continuous import (
     ContinuousMixture,

@@ -1,4 +1,4 @@
-"""The shared part of every strategy over vectors of real numbers."""
+"""Strategies over vectors of real numbers: the base class and the mixture family."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from abc import abstractmethod
 from functools import reduce
 from typing import NamedTuple, cast
 
+import numpy as np
 import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -15,38 +16,37 @@ from torchrl.data.tensor_specs import ContinuousBox
 
 from trl_explore.numerics.densities import gaussian_log_prob
 from trl_explore.strategies.schedules import Value
-from trl_explore.strategies.strategy import BaseStrategy, check_trials, exploring, rows
+from trl_explore.strategies.strategy import BaseStrategy, exploring, rows
 
 
 class ContinuousStrategy(BaseStrategy):
     """A behaviour policy μ(·|s) over actions a ∈ ℝⁿ, made from a policy π = N(loc, diag(scale²)).
 
-    A subclass states ``draw`` and, where μ has a density, ``log_prob``. The box [low, high] of the
-    actions is known from an action spec, given here or by a collector. The environment clips what
-    lies outside; the action that is written and its density are those before clipping.
+    A subclass defines ``draw`` and, if μ has a density, ``log_prob``. The action box [low, high]
+    comes from an action spec, given here or by a collector. The environment clips actions to the
+    box; the action that is written and its density are those before clipping.
 
-    Under ``ExplorationType.RANDOM``, or none set, the strategy explores. Under MODE, MEAN or
+    The strategy explores if TorchRL's exploration type is RANDOM or unset. Under MODE, MEAN or
     DETERMINISTIC it takes loc, with log-probability 0: that of a certain action, not a density.
 
-    Reads "loc" and "scale" [*batch, n_dims]; if present "noise" [*batch, n_dims + 1] (uniform in
-    [0, 1): one number for each dimension of the action, and a last one) and "trial" [*batch].
-    Writes "action" [*batch, n_dims] and "action_log_prob" [*batch] (log density of all n_dims
-    together, nats).
+    Reads "loc" and "scale" [*batch, n_dims] and, if present, "noise" [*batch, n_dims + 1] (uniform
+    in [0, 1): one number per action dimension, and one more) and "trial" [*batch].
+    Writes "action" [*batch, n_dims] and "action_log_prob" [*batch] (joint log density, nats).
 
     Args:
-        spec: the action spec (``Bounded`` or ``Unbounded``, also in a ``Composite``).
+        spec: the action spec (``Bounded`` or ``Unbounded``, possibly in a ``Composite``).
         loc_key: the entry with the mean of π.
-        scale_key: the entry with its standard deviation.
+        scale_key: the entry with the standard deviation of π.
         action_key: the entry to write the action to.
-        seed: seed of the module's own generator, used where no "noise" entry is given.
+        seed: seed of the module's own generator, used if there is no "noise" entry.
 
     Raises:
-        ValueError: if the spec is not of a kind served.
+        ValueError: if the spec is of another kind.
     """
 
     actions = "continuous"
     boxed = False
-    """Whether it draws from the box, which then must be finite."""
+    """Whether the strategy draws from the box, which must then be finite."""
 
     def __init__(
         self,
@@ -64,24 +64,24 @@ class ContinuousStrategy(BaseStrategy):
             self.serve(spec)
 
     def serve(self, spec: TensorSpec) -> None:
-        """Learn which actions the environment takes: their number of dimensions and the box."""
+        """Check the action spec; store the number of dimensions and the box."""
         super().serve(spec)
         spec = self._leaf(spec)
         if not isinstance(spec, Bounded | Unbounded) or not spec.shape:
             raise ValueError(
-                "a continuous strategy serves Bounded and Unbounded action specs over vectors, "
+                "the action spec must be a Bounded or Unbounded vector, "
                 f"got {type(spec).__name__} of shape {list(spec.shape)}"
             )
-        # Every lane of an environment has the same box.
+        # All lanes have the same box.
         space = cast(ContinuousBox, spec.space)
         low, high = (
             bound.double().reshape(-1, spec.shape[-1])[0] for bound in (space.low, space.high)
         )
-        if isinstance(spec, Unbounded):  # torchrl's bounds are the largest numbers then
+        if isinstance(spec, Unbounded):  # torchrl's bounds are the largest finite numbers
             low, high = torch.full_like(low, -torch.inf), torch.full_like(high, torch.inf)
         if self.boxed and not (high - low).isfinite().all():
             raise ValueError(
-                f"{type(self).__name__} draws from the box of the actions, which must be finite, "
+                f"{type(self).__name__} needs an action box that is finite, "
                 f"got [{low.tolist()}, {high.tolist()}]"
             )
         self.box = low, high
@@ -89,8 +89,8 @@ class ContinuousStrategy(BaseStrategy):
 
     @abstractmethod
     def draw(self, loc: Tensor, scale: Tensor, noise: Tensor, trial: Tensor | None) -> Tensor:
-        """The action [*batch, n_dims], in double, of noise [*batch, n_dims + 1]."""
-        raise NotImplementedError(f"{type(self).__name__} does not state its draw")
+        """The action [*batch, n_dims], in double, for noise [*batch, n_dims + 1]."""
+        raise NotImplementedError(f"{type(self).__name__} does not define draw")
 
     def log_prob(
         self, action: Tensor, loc: Tensor, scale: Tensor, trial: Tensor | None = None
@@ -101,7 +101,7 @@ class ContinuousStrategy(BaseStrategy):
             action: [*batch, n_dims].
             loc: [*batch, n_dims].
             scale: [*batch, n_dims].
-            trial: [*batch] int64, needed only where parameters differ between trials.
+            trial: [*batch] int64, needed only if parameters differ between trials.
 
         Raises:
             ValueError: if μ has no density.
@@ -116,7 +116,7 @@ class ContinuousStrategy(BaseStrategy):
             trial = tensordict.get("trial", None)
             wide = loc.double(), scale.double()
             drawn = self.draw(*wide, self._noise(tensordict, loc).double(), trial)
-            # The density is that of the action as it is written, after rounding.
+            # The density of the action as written, after rounding.
             action = drawn.to(loc.dtype)
             log_prob = self.log_prob(action.double(), *wide, trial) if self.exact else None
         else:
@@ -127,12 +127,12 @@ class ContinuousStrategy(BaseStrategy):
         return tensordict
 
     def _check(self, loc: Tensor) -> None:
-        """Learn the number of dimensions where no spec has been given."""
+        """Check loc; set the number of dimensions if no spec is given."""
         n_dims = loc.shape[-1]
         if self.box is None:
             if self.boxed:
                 raise ValueError(
-                    f"{type(self).__name__} draws from the box of the actions: give it their spec"
+                    f"{type(self).__name__} needs the action box: pass the action spec as spec"
                 )
             self.noise_size = n_dims + 1
         elif n_dims != len(self.box[0]):
@@ -142,15 +142,15 @@ class ContinuousStrategy(BaseStrategy):
 
 
 COLDEST = 1e-6
-"""The smallest temperature: a Gaussian of scale 0 has no density."""
+"""The smallest temperature; a Gaussian of scale 0 has no density."""
 BELOW_ONE = 1 - 2**-53
 """The largest number below 1."""
 
 
 class ContinuousMixture(NamedTuple):
-    """The point of the family in one iteration; each entry one number, or one per trial [trials].
+    """The weights and temperature in one iteration; each a number, or one per trial [trials].
 
-    The weights are non-negative and sum to 1; the temperature is >= 0, and kept at 1e-6 or above.
+    The weights are non-negative and sum to 1; the temperature is >= 0 and kept at 1e-6 or above.
     """
 
     mean: Value | Tensor = 0.0
@@ -164,15 +164,15 @@ class ContinuousMixtureStrategy(ContinuousStrategy):
 
     μ(·|s) = w_mean · δ(loc) + w_gaussian · N(loc, diag((T · scale)²)) + w_uniform · U(low, high)
 
-    the counterpart of the discrete ``MixtureStrategy``. The last number of the noise chooses the
-    corner (uniform where it is smallest, then the Gaussian, then the mean), the others are inverted
-    through its distribution function, dimension by dimension:
+    the counterpart of the discrete ``MixtureStrategy``. The last noise number chooses the component
+    (in increasing order: uniform, Gaussian, mean). The others go through the component's inverse
+    CDF, one per dimension:
 
         a_j = low_j + u_j (high_j − low_j)  or  a_j = loc_j + T scale_j Φ⁻¹(u_j)
 
-    so that any two strategies of the family see the same random numbers. A subclass states the
-    weights and T for the current iteration in ``mixture``; where w_mean is not always 0, μ has no
-    density, and the subclass says ``exact = False``.
+    so that all strategies of the family use the same random numbers. A subclass returns the weights
+    and T for the current iteration from ``mixture``. If w_mean is not always 0, μ has no density,
+    and the subclass sets ``exact = False``.
     """
 
     @abstractmethod
@@ -182,17 +182,19 @@ class ContinuousMixtureStrategy(ContinuousStrategy):
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
     ) -> None:
-        """Learn which policy the strategy serves."""
+        """Connect the strategy to its target policy."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        check_trials(trials, *self.mixture())
+        for name, value in self.mixture()._asdict().items():
+            if isinstance(value, np.ndarray) and value.shape != (trials,):
+                raise ValueError(f"{name} has {value.size} values, but there are {trials} trials")
 
     def draw(self, loc: Tensor, scale: Tensor, noise: Tensor, trial: Tensor | None) -> Tensor:
-        """The action [*batch, n_dims] of noise [*batch, n_dims + 1]."""
+        """The action [*batch, n_dims] for noise [*batch, n_dims + 1]."""
         mean, gaussian, uniform, temperature = self._point(trial, loc)
         corner, u = noise[..., -1:].clamp(max=BELOW_ONE), noise[..., :-1]
         action = loc
         if gaussian.any():
-            # Φ⁻¹ is finite strictly between 0 and 1.
+            # Φ⁻¹ is finite only strictly between 0 and 1.
             z = torch.special.ndtri(u.clamp(1 - BELOW_ONE, BELOW_ONE))
             action = torch.where(corner < 1 - mean, loc + temperature * scale * z, action)
         if uniform.any():
@@ -233,5 +235,5 @@ class ContinuousMixtureStrategy(ContinuousStrategy):
 
 
 def _log_sum(a: Tensor, b: Tensor) -> Tensor:
-    """log(eᵃ + eᵇ), where at most one of them is −∞; unlike torch's, the same at every place."""
+    """log(eᵃ + eᵇ), at most one −∞; unlike torch's, independent of the position in the tensor."""
     return torch.maximum(a, b) + torch.log1p(torch.exp(-(a - b).abs()))

@@ -1,4 +1,4 @@
-"""Optimism: what has been tried less often in a state is preferred more."""
+"""Optimism: a bonus for actions tried less often in a state."""
 
 from __future__ import annotations
 
@@ -16,27 +16,26 @@ from trl_explore.numerics.layers import lane_linear
 from trl_explore.numerics.streams import Stream, generator
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy, rows
 from trl_explore.strategies.schedules import Schedule, as_schedule
-from trl_explore.strategies.strategy import check_trials
 
 
 class CountBonus(MixtureStrategy):
-    """Softmax of the logits and a bonus for each action that shrinks with its visits.
+    """Softmax of the logits plus a bonus per action that shrinks with its visit count.
 
     μ(·|s) = softmax((logits + b(s, ·)) / T),   b(s, a) = β / √(N(φ(s), a) + 1)
     φ(s) = sgn(A s) ∈ {−1, 1}^bits,   A [bits, n_features] of independent N(0, 1)
 
     β / √N(s, a) is the bonus of MBIE-EB (Strehl & Littman 2008, "An analysis of model-based
-    interval estimation"), here on the preferences instead of on the reward, with the coming visit
-    counted, so that it is finite; φ is the static hash of Tang et al. 2017, "#Exploration", §2.2,
-    which gives every discrete (one-hot) state a cell, and a continuous one the cell of its
-    direction. Each trial has its own A and its own N, which counts its frames in ``step(data)``,
-    so that μ is fixed within an iteration and its probabilities are exact.
+    interval estimation"), here added to the preferences instead of the reward. Counting the
+    current visit (+ 1) keeps it finite. φ is the static hash of Tang et al. 2017, "#Exploration",
+    §2.2: each discrete (one-hot) state has a cell; a continuous state has the cell of its
+    direction. Each trial has its own A and N. N counts the trial's frames in ``step(data)``, so μ
+    is fixed within an iteration and its probabilities are exact.
 
-    Reads "observation" [*batch, n_features] too, of the frames and of the data.
+    Also reads "observation" [*batch, n_features], from the frames and from the data.
 
     Args:
         beta: β >= 0, a number, one number per trial, or a schedule of the iteration.
-        temperature: T >= 0, likewise; 0 is argmax of the sum.
+        temperature: T >= 0, likewise; 0 gives the argmax of the sum.
         bits: length of the hash, 1 to 20; there are 2^bits cells of n_actions counts per trial.
         options: the arguments of ``Strategy``.
 
@@ -74,14 +73,13 @@ class CountBonus(MixtureStrategy):
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
     ) -> None:
-        """Begin with nothing visited."""
+        """Reset the counts to 0."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        check_trials(trials, self.beta(self.iteration))
         self._whom = (trials, seed, first_trial)
         self._hash, self._counts = torch.zeros(0), torch.zeros(0, dtype=torch.int32)
 
     def mixture(self) -> Mixture:
-        """The softmax corner, of ``preferences``."""
+        """Softmax of ``preferences``."""
         return Mixture(softmax=1.0, temperature=self.temperature(self.iteration))
 
     def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
@@ -104,7 +102,7 @@ class CountBonus(MixtureStrategy):
         self._counts.index_put_((trial, cell, action.long()), ones, accumulate=True)
 
     def _prepare(self, n_features: int, n_actions: int) -> None:
-        """Draw A and make room for N, when the sizes are first known."""
+        """Draw A and allocate N when the sizes are first known."""
         if self._counts.numel():
             return
         trials, seed, first_trial = self._whom
@@ -117,7 +115,7 @@ class CountBonus(MixtureStrategy):
         self._counts = torch.zeros(trials, 1 << self.bits, n_actions, dtype=torch.int32)
 
     def _cells(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Trial and cell of each frame, both [*batch]."""
+        """The trial and cell of each frame, both [*batch]."""
         observation = tensordict.get("observation").to(torch.float32)
         trial = tensordict.get("trial", None)
         if trial is None:
@@ -126,11 +124,11 @@ class CountBonus(MixtureStrategy):
         return trial, (positive * (1 << torch.arange(self.bits))).sum(-1)
 
     def get_extra_state(self) -> dict[str, Any]:
-        """What ``state_dict`` holds; A and N of every trial are part of it."""
+        """The state for ``state_dict``, including A and N of every trial."""
         visited = {"hash": self._hash.clone(), "counts": self._counts.clone()}
         return {**super().get_extra_state(), **visited}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore what ``get_extra_state`` gave."""
+        """Restore the state from ``get_extra_state``."""
         super().set_extra_state(state)
         self._hash, self._counts = state["hash"].clone(), state["counts"].clone()

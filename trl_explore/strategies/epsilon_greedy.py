@@ -1,4 +1,4 @@
-"""Exploit, except in a share ε of the frames."""
+"""ε-greedy and its relatives: two-part mixtures with weight ε."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class EpsilonGreedy(MixtureStrategy):
         self.epsilon = as_schedule("epsilon", epsilon, 0, 1)
 
     def mixture(self) -> Mixture:
-        """A point on the edge from greedy to uniform."""
+        """Argmax with weight 1 − ε, uniform with weight ε."""
         epsilon = self.epsilon(self.iteration)
         return Mixture(greedy=1 - epsilon, uniform=epsilon)
 
@@ -40,14 +40,14 @@ class EpsilonGreedy(MixtureStrategy):
 class DecayingEpsilonGreedy(EpsilonGreedy):
     """ε-greedy with ε_i = decay^i in iteration i = 0, 1, ...      (thesis, §2.2.4, appendix A.4).
 
-    A name for ``EpsilonGreedy(Exponential(1.0, decay))``.
+    Short for ``EpsilonGreedy(Exponential(1.0, decay))``.
 
     Args:
-        decay: in [0, 1].
+        decay: the factor per iteration, in [0, 1].
         options: the arguments of ``Strategy``.
 
     Raises:
-        ValueError: if the decay is not in [0, 1].
+        ValueError: if ``decay`` is not in [0, 1].
     """
 
     def __init__(self, decay: float = 0.99, **options: Any) -> None:
@@ -64,7 +64,7 @@ class EpsilonSoftmax(MixtureStrategy):
 
     Args:
         epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
-        temperature: T > 0, likewise; it may fall to 0, the limit.
+        temperature: T > 0, likewise; a schedule may reach 0, the limit.
         options: the arguments of ``Strategy``.
 
     Raises:
@@ -89,7 +89,7 @@ class EpsilonSoftmax(MixtureStrategy):
         self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
 
     def mixture(self) -> Mixture:
-        """A point on the edge from softmax to uniform."""
+        """Softmax with weight 1 − ε, uniform with weight ε."""
         epsilon = self.epsilon(self.iteration)
         return Mixture(
             softmax=1 - epsilon, uniform=epsilon, temperature=self.temperature(self.iteration)
@@ -106,7 +106,7 @@ class MaxBoltzmann(MixtureStrategy):
 
     Args:
         epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
-        temperature: T > 0, likewise; it may fall to 0, the limit.
+        temperature: T > 0, likewise; a schedule may reach 0, the limit.
         options: the arguments of ``Strategy``.
 
     Raises:
@@ -129,6 +129,6 @@ class MaxBoltzmann(MixtureStrategy):
         self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
 
     def mixture(self) -> Mixture:
-        """A point on the edge from greedy to softmax."""
+        """Argmax with weight 1 − ε, softmax with weight ε."""
         epsilon = self.epsilon(self.iteration)
         return Mixture(1 - epsilon, epsilon, temperature=self.temperature(self.iteration))

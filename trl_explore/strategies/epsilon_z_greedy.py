@@ -1,4 +1,4 @@
-"""ε-greedy with random actions that last."""
+"""ε-greedy with repeated random actions."""
 
 from __future__ import annotations
 
@@ -15,32 +15,33 @@ from torch import Tensor
 from trl_explore.checks import check_integer, check_number
 from trl_explore.strategies.mixture import Mixture, mixture_probs, rows
 from trl_explore.strategies.schedules import Schedule, as_schedule
-from trl_explore.strategies.strategy import Strategy, check_trials, inverse_cdf
+from trl_explore.strategies.strategy import Strategy, inverse_cdf
 
 
 class EpsilonZGreedy(Strategy):
-    """Argmax; with probability ε instead a uniform action that is kept for n ~ z(μ) frames.
+    """Argmax; with probability ε instead a uniform action, repeated for n ~ z(μ) frames.
 
-    While no repetition runs: with probability ε draw a ~ uniform and n with
+    If no repetition is running: with probability ε draw a ~ uniform and n with
 
         P(n) = n^−μ / Σ_{k ≤ N} k^−μ,   n = 1, ..., N
 
-    and take a in this frame and the n − 1 that follow; else take an action of largest logit (ties
-    share). A repetition ends early with the episode, or where the mask forbids its action.
-    (Dabney, Ostrovski & Barreto 2021, "Temporally-Extended ε-Greedy Exploration", §3 and
-    appendix B, with zeta-distributed durations, μ = 2, cut at N.)
+    and take a in this frame and the next n − 1; else take an action of largest logit (ties share).
+    A repetition ends early if the episode ends or the mask forbids its action. (Dabney, Ostrovski
+    & Barreto 2021, "Temporally-Extended ε-Greedy Exploration", §3 and appendix B, with
+    zeta-distributed durations, μ = 2, cut at N.)
 
-    ``exact`` is False: what is drawn next depends on a repetition that the state does not show.
-    Given the past, μ is a point mass while one runs, without the full support that π/μ needs; so
-    no log-probability is written, and importance weights cannot correct the data. ``probs`` is
-    that of a frame in which no repetition runs: ε-greedy.
+    ``exact`` is False: the next action depends on a repetition that the state does not show. During
+    a repetition, μ given the past is a point mass and lacks the full support that π/μ needs. So no
+    log-probability is written, and importance weights cannot correct the data. ``probs`` applies to
+    frames without a running repetition: ε-greedy.
 
-    Each frame of a batch is the next one of a lane, a place in the batch. A lane starts again in
-    ``begin`` and, for collectors that do not call it, where "is_init" is true or "step_count" 0.
+    Each frame of a batch is the next frame of a lane, its position in the batch. ``begin`` ends the
+    repetition of a lane; for collectors that do not call it, so does a frame whose "is_init" is
+    true or whose "step_count" is 0.
 
     Args:
         epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
-        mu: the exponent, > 1; smaller ones last longer.
+        mu: the exponent, > 1; smaller values give longer repetitions.
         max_duration: N >= 1.
         options: the arguments of ``Strategy``.
 
@@ -81,13 +82,12 @@ class EpsilonZGreedy(Strategy):
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
     ) -> None:
-        """Learn which policy the strategy serves."""
+        """Connect the strategy to its target policy."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        check_trials(trials, self.epsilon(self.iteration))
         self._reset(trials)
 
     def begin(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
-        """Let no repetition outlive its episode."""
+        """End the repetitions of the active trials."""
         if len(self._remaining) != len(active):
             self._reset(len(active))
         self._remaining[torch.from_numpy(active)] = 0
@@ -97,14 +97,14 @@ class EpsilonZGreedy(Strategy):
         self._action = torch.zeros(lanes, dtype=torch.int64)
 
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
-        """ε-greedy [*batch, n_actions]: μ where no repetition runs."""
+        """ε-greedy [*batch, n_actions]: μ if no repetition is running."""
         epsilon = rows(self.epsilon(self.iteration), trial, logits)
         return mixture_probs(logits, Mixture(greedy=1 - epsilon, uniform=epsilon))
 
     def explore(
         self, tensordict: TensorDictBase, logits: Tensor, noise: Tensor
     ) -> tuple[Tensor, None]:
-        """Go on with a repetition, or draw; ``noise`` decides whether, what and how long."""
+        """Continue a repetition, or draw; ``noise`` decides whether, which action and how long."""
         batch = logits.shape[:-1]
         if len(self._remaining) != batch.numel():
             self._reset(batch.numel())
@@ -131,18 +131,18 @@ class EpsilonZGreedy(Strategy):
         return action, None
 
     def get_extra_state(self) -> dict[str, Any]:
-        """What ``state_dict`` holds; the repetitions that run are part of it."""
+        """The state for ``state_dict``, including running repetitions."""
         repetition = {"remaining": self._remaining.clone(), "action": self._action.clone()}
         return {**super().get_extra_state(), **repetition}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore what ``get_extra_state`` gave."""
+        """Restore the state from ``get_extra_state``."""
         super().set_extra_state(state)
         self._remaining, self._action = state["remaining"].clone(), state["action"].clone()
 
 
 def _starts(tensordict: TensorDictBase, batch: torch.Size) -> Tensor:
-    """Whether a frame is known to be the first of its episode [*batch]."""
+    """Whether a frame is marked as the first of its episode [*batch]."""
     first = torch.zeros(batch, dtype=torch.bool, device=tensordict.device)
     if (is_init := tensordict.get("is_init", None)) is not None:
         first = first | is_init.reshape(batch)

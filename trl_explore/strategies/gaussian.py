@@ -1,4 +1,4 @@
-"""Full exploitation of a Gaussian policy."""
+"""Strategies for Gaussian policies: mean, Gaussian, uniform, and mixtures of two."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from trl_explore.strategies.schedules import Schedule, as_schedule
 
 
 class MeanAction(ContinuousMixtureStrategy):
-    """The action that the policy prefers: the mean of its Gaussian, the counterpart of argmax.
+    """The mean of the policy's Gaussian, the counterpart of argmax.
 
     μ(·|s) = δ(loc(s))      (Silver et al. 2014, "Deterministic policy gradient algorithms", §3)
 
-    There is no density: the strategy writes no "action_log_prob", and no importance weight exists.
+    It has no density: the strategy writes no "action_log_prob", and no importance weight exists.
 
     Example:
         >>> import torch
@@ -27,12 +27,12 @@ class MeanAction(ContinuousMixtureStrategy):
     exact = False
 
     def mixture(self) -> ContinuousMixture:
-        """The corner of the mean."""
+        """All weight on the mean."""
         return ContinuousMixture(mean=1.0)
 
 
 class UniformAction(ContinuousMixtureStrategy):
-    """Uniform over the box of the actions, whatever the policy prefers; the counterpart of random.
+    """Uniform over the action box, independent of the policy; the counterpart of ``Random``.
 
     μ(a|s) = Π_j 1[low_j ≤ a_j ≤ high_j] / (high_j − low_j)
 
@@ -52,17 +52,16 @@ class UniformAction(ContinuousMixtureStrategy):
     boxed = True
 
     def mixture(self) -> ContinuousMixture:
-        """The uniform corner."""
+        """All weight on uniform."""
         return ContinuousMixture(uniform=1.0)
 
 
 class Gaussian(ContinuousMixtureStrategy):
-    """The Gaussian of the policy at a temperature; at T = 1 the policy itself, data on-policy.
+    """The policy's Gaussian at a temperature; at T = 1 it is the policy, and data are on-policy.
 
     μ(·|s) = N(loc(s), diag((T · scale(s))²))      (T = 1: Williams 1992, §6; Sutton & Barto, §13.7)
 
-    T → 0 gives the mean action. Where a schedule falls below 1e-6, T stays there: at 0 there is no
-    density.
+    T → 0 gives the mean action. T is kept at 1e-6 or above, because at 0 there is no density.
 
     Args:
         temperature: T > 0, a number, one number per trial, or a schedule of the iteration.
@@ -88,7 +87,7 @@ class Gaussian(ContinuousMixtureStrategy):
         self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
 
     def mixture(self) -> ContinuousMixture:
-        """The corner of the Gaussian."""
+        """All weight on the Gaussian."""
         return ContinuousMixture(gaussian=1.0, temperature=self.temperature(self.iteration))
 
 
@@ -97,7 +96,7 @@ class EpsilonUniform(ContinuousMixtureStrategy):
 
     μ(·|s) = (1 − ε) · N(loc(s), diag(scale(s)²)) + ε · U(low, high)
 
-    the counterpart of a softmax with ε. Its density is exact, outside of the box too.
+    the counterpart of ``EpsilonSoftmax``. Its density is exact, outside the box too.
 
     Args:
         epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
@@ -124,17 +123,17 @@ class EpsilonUniform(ContinuousMixtureStrategy):
         self.epsilon = as_schedule("epsilon", epsilon, 0, 1)
 
     def mixture(self) -> ContinuousMixture:
-        """A point on the edge from the Gaussian to uniform."""
+        """The Gaussian with weight 1 − ε, uniform with weight ε."""
         epsilon = self.epsilon(self.iteration)
         return ContinuousMixture(gaussian=1 - epsilon, uniform=epsilon)
 
 
 class EpsilonMean(EpsilonUniform):
-    """The mean action with weight 1 − ε, uniform over the box with weight ε; as ε-greedy.
+    """The mean action with weight 1 − ε, uniform over the box with weight ε, like ε-greedy.
 
     μ(·|s) = (1 − ε) · δ(loc(s)) + ε · U(low, high)
 
-    A mixture with a point has no density: the strategy writes no "action_log_prob", and no
+    A mixture with a point mass has no density: the strategy writes no "action_log_prob", and no
     importance weight exists. ``EpsilonUniform`` has one.
 
     Args:
@@ -149,6 +148,6 @@ class EpsilonMean(EpsilonUniform):
     differentiable = False
 
     def mixture(self) -> ContinuousMixture:
-        """A point on the edge from the mean to uniform."""
+        """The mean with weight 1 − ε, uniform with weight ε."""
         epsilon = self.epsilon(self.iteration)
         return ContinuousMixture(mean=1 - epsilon, uniform=epsilon)

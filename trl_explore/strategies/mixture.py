@@ -1,4 +1,4 @@
-"""The family that holds the thesis's five strategies: a mixture of three corners."""
+"""Mixtures of argmax, softmax and uniform; the thesis's five strategies are special cases."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from trl_explore.strategies.strategy import Strategy, rows
 
 
 class Mixture(NamedTuple):
-    """The point of the family in one iteration; each entry one number, or one per trial [trials].
+    """The weights and temperature in one iteration; each a number, or one per trial [trials].
 
-    The weights are non-negative and sum to 1; the temperature is >= 0, and 0 is the limit.
+    The weights are non-negative and sum to 1; the temperature is >= 0, where 0 is the limit.
     """
 
     greedy: Value | Tensor = 0.0
@@ -36,13 +36,12 @@ class MixtureStrategy(Strategy):
     μ(a|s) = w_greedy · 1[a ∈ A*] / |A*| + w_softmax · softmax(logits / T)_a + w_uniform / n
 
     with A* the actions of largest logit (ties share) and n the number of actions that the mask
-    allows. A subclass states the weights and T for the current iteration in ``mixture``; that is
-    all that a collector needs that compiles the strategy.
+    allows. A subclass returns the weights and T for the current iteration from ``mixture``.
 
     Attributes:
-        compilable: whether ``mixture`` and ``behaviour_parameters`` say all of μ, so that a
+        compilable: whether ``mixture`` and ``behaviour_parameters`` fully determine μ, so that a
             collector may compile the strategy. False in a class that overrides one of the methods
-            ``REPLACED``, which compiled code does not call, unless the class says otherwise.
+            in ``REPLACED``, which compiled code does not call, unless the class declares it.
     """
 
     REPLACED = ("forward", "explore", "preferences", "probs")
@@ -59,16 +58,16 @@ class MixtureStrategy(Strategy):
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
     ) -> None:
-        """Learn which policy the strategy serves."""
+        """Connect the strategy to its target policy."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
         self.checked_mixture(trials)
 
     def checked_mixture(self, trials: int) -> Mixture:
-        """The mixture of the current iteration, for so many trials.
+        """The mixture of the current iteration, checked for ``trials`` trials.
 
         Raises:
-            ValueError: if an entry has one value per trial, but not for all, or the weights are
-                negative or do not sum to 1.
+            ValueError: if a per-trial entry does not have one value for every trial, or the
+                weights are negative or do not sum to 1.
         """
         point = self.mixture()
         for name, value in zip(Mixture._fields, point, strict=True):
@@ -87,12 +86,12 @@ class MixtureStrategy(Strategy):
         return point
 
     def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
-        """The parameters with which the policy's logits are the strategy's ``preferences``.
+        """The parameters with which the policy's logits equal the strategy's ``preferences``.
 
-        A strategy with other ``preferences`` is compilable only if it states such parameters here.
+        A strategy that overrides ``preferences`` is compilable only if it overrides this too.
 
         Args:
-            parameters: parameters of the target policy that ``bind`` was given.
+            parameters: parameters of the target policy given to ``bind``.
         """
         return list(parameters)
 
@@ -103,7 +102,7 @@ class MixtureStrategy(Strategy):
 
 
 def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
-    """The probabilities [*batch, n_actions] of a mixture; its entries broadcast to ``logits``.
+    """The probabilities [*batch, n_actions] of a mixture, whose entries broadcast to ``logits``.
 
     Example:
         >>> mixture_probs(torch.tensor([0.0, 4.0, -1.0, 4.0]), Mixture(greedy=0.8, uniform=0.2))
@@ -115,7 +114,7 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
         best = (logits == largest).to(logits.dtype)
         terms.append(_weigh(best / best.sum(-1, keepdim=True), mixture.greedy))
     if _any(mixture.softmax):
-        # Subtracting first, and T within the dtype's range, keep the quotient from overflowing.
+        # To avoid overflow, subtract the maximum first and keep T within the dtype's range.
         limits = torch.finfo(logits.dtype)
         temperature = mixture.temperature
         if isinstance(temperature, Tensor):
@@ -139,7 +138,7 @@ def _any(weight: Value | Tensor) -> bool:
 
 
 class Random(MixtureStrategy):
-    """Uniform over the actions, whatever the policy prefers.
+    """Uniform over the actions, independent of the policy.
 
     μ(a|s) = 1 / n_actions      (thesis, §2.2.1)
 
@@ -152,12 +151,12 @@ class Random(MixtureStrategy):
     differentiable = True
 
     def mixture(self) -> Mixture:
-        """The uniform corner."""
+        """All weight on uniform."""
         return Mixture(uniform=1.0)
 
 
 class Argmax(MixtureStrategy):
-    """The action that the policy prefers; ties share.
+    """The action of largest logit; ties share.
 
     μ(a|s) = 1[a ∈ A*] / |A*|,   A* = argmax_a logits_a      (thesis, §2.2.2)
 
@@ -168,20 +167,20 @@ class Argmax(MixtureStrategy):
     """
 
     def mixture(self) -> Mixture:
-        """The greedy corner."""
+        """All weight on argmax."""
         return Mixture(greedy=1.0)
 
 
 class Softmax(MixtureStrategy):
-    """Softmax of the logits at a temperature; at T = 1 the policy itself, and the data on-policy.
+    """Softmax of the logits at a temperature; at T = 1 it is the policy, and data are on-policy.
 
     μ(a|s) = exp(logits_a / T) / Σ_b exp(logits_b / T)      (Sutton & Barto, §2.8; thesis, §2.2.5)
 
-    The thesis prints exp(x^T); x / T is meant. T → 0 gives argmax, T → ∞ uniform.
+    The thesis prints exp(x^T) but means x / T. T → 0 gives argmax, T → ∞ uniform.
 
     Args:
         temperature: T > 0, a number, one number per trial, or a schedule of the iteration, which
-            may fall to 0: the limit, argmax.
+            may reach 0, the limit: argmax.
         options: the arguments of ``Strategy``.
 
     Raises:
@@ -202,7 +201,7 @@ class Softmax(MixtureStrategy):
         self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
 
     def mixture(self) -> Mixture:
-        """The softmax corner."""
+        """All weight on softmax."""
         return Mixture(softmax=1.0, temperature=self.temperature(self.iteration))
 
 
@@ -210,19 +209,19 @@ Parameter = float | Sequence[float] | Schedule
 
 
 class FullMixture(MixtureStrategy):
-    """Argmax, softmax and uniform, each with a weight of its own.
+    """Argmax, softmax and uniform, each with its own weight.
 
     μ(a|s) = (w_g · 1[a ∈ A*] / |A*| + w_s · softmax(logits / T)_a + w_u / n_actions) / W
     with W = w_g + w_s + w_u
 
-    The weights are relative: the rule is to divide by their sum, in every iteration, so that each
-    may follow a schedule of its own. Every strategy of the thesis is a point of it.
+    The weights are relative: they are divided by their sum in every iteration, so each may follow
+    its own schedule. Every strategy of the thesis is a special case.
 
     Args:
         greedy: w_g >= 0, a number, one number per trial, or a schedule of the iteration.
         softmax: w_s >= 0, likewise.
         uniform: w_u >= 0, likewise.
-        temperature: T > 0, likewise; it may fall to 0, the limit.
+        temperature: T > 0, likewise; a schedule may reach 0, the limit.
         options: the arguments of ``Strategy``.
 
     Raises:
@@ -251,7 +250,7 @@ class FullMixture(MixtureStrategy):
 
     @property
     def differentiable(self) -> bool:
-        """Whether the argmax has no share, in any iteration."""
+        """Whether the weight of argmax is 0 in every iteration."""
         return self.greedy.bounds[1] == 0
 
     def mixture(self) -> Mixture:
@@ -259,7 +258,10 @@ class FullMixture(MixtureStrategy):
         weights = [w(self.iteration) for w in (self.greedy, self.softmax, self.uniform)]
         shapes = {np.shape(w) for w in weights} - {()}
         if len(shapes) > 1:
-            raise ValueError(f"the weights have {sorted(s[0] for s in shapes)} values for trials")
+            raise ValueError(
+                "greedy, softmax and uniform must have equally many values per trial, "
+                f"got weights with {sorted(s[0] for s in shapes)} values"
+            )
         total = weights[0] + weights[1] + weights[2]
         if np.any(total == 0) or not np.all(np.isfinite(total)):
             raise ValueError(

@@ -1,4 +1,4 @@
-"""Explore in the space of parameters: one perturbed policy for a whole episode."""
+"""Parameter-space noise: one perturbed policy per episode."""
 
 from __future__ import annotations
 
@@ -18,40 +18,39 @@ from trl_explore.numerics.score import lane_sum
 from trl_explore.numerics.streams import Stream, generator
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
 from trl_explore.strategies.schedules import Schedule, as_schedule
-from trl_explore.strategies.strategy import check_trials
 
 Parameters = dict[str, Tensor]
 
 
 class ParameterNoise(MixtureStrategy):
-    """Softmax of the logits of the target policy with perturbed parameters.
+    """Softmax of the target policy's logits under perturbed parameters.
 
     μ(·|s) = softmax(logits(s; θ̃) / T),   θ̃ = θ + σ ξ,   ξ ~ N(0, I), drawn once per episode
 
-    (Plappert et al. 2018, "Parameter Space Noise for Exploration", §3.) Given ξ, and it is given in
-    an episode, the probabilities of μ are exact, and at T > 0 an action of positive probability
-    under π has one under μ.
+    (Plappert et al. 2018, "Parameter Space Noise for Exploration", §3.) ξ is fixed within an
+    episode, and given ξ the probabilities of μ are exact. At T > 0, every action with positive
+    probability under π has positive probability under μ.
 
-    With a ``threshold``, σ of each trial adapts to what the noise does to the actions: after every
-    iteration, with d the mean KL(π‖π̃) in nats over the frames of the trial's last episode, between
-    the softmax at T = 1 of the two sets of logits, as they were in that episode,
+    With a ``threshold``, σ of each trial adapts to the effect of the noise on the actions. After
+    every iteration, with d the mean KL(π‖π̃) in nats over the frames of the trial's last episode,
+    between the softmax at T = 1 of the two sets of logits, with the parameters of that episode,
 
         σ ← factor · σ if d <= threshold, else σ / factor      (§3.1; appendix C.1 for the KL)
 
-    The first dimension of every parameter of the policy is the trial; if there is one trial, any
-    parameters serve. ``bind`` gives the policy. A collector that does not call ``begin`` has to
-    mark the first frames of episodes with "is_init" (TorchRL's ``InitTracker``); without it one
-    perturbation lasts.
+    The first dimension of every parameter of the policy is the trial; with a single trial, any
+    shape works. Call ``bind`` to set the policy. A collector that does not call ``begin`` must mark
+    the first frame of each episode with "is_init" (TorchRL's ``InitTracker``); without it, one
+    perturbation is kept throughout.
 
     Args:
         sigma: σ >= 0, a number, one number per trial, or a schedule of the iteration.
-        temperature: T >= 0, likewise; 0 is argmax.
-        threshold: > 0, the d aimed for; None: σ does not adapt.
+        temperature: T >= 0, likewise; 0 gives argmax.
+        threshold: > 0, the target for d; None: σ does not adapt.
         factor: > 1.
         options: the arguments of ``Strategy``.
 
     Raises:
-        ValueError: if an argument is out of range, or the policy's parameters are of another form.
+        ValueError: if an argument is out of range, or a parameter of the policy has another shape.
     """
 
     compilable = True  # its preferences are the logits of ``behaviour_parameters``
@@ -72,8 +71,10 @@ class ParameterNoise(MixtureStrategy):
             self.threshold = check_number("threshold", threshold, 0, low_open=True)
         self.factor = check_number("factor", factor, 1, low_open=True)
         self.scale: NDArray[np.float64] = np.ones(1)
-        """What adaptation has multiplied σ with, for each trial [trials]."""
-        self._policy: tuple[TensorDictModuleBase, ...] = ()  # a tuple: it is no part of this module
+        """The factor that adaptation applies to σ, for each trial [trials]."""
+        self._policy: tuple[
+            TensorDictModuleBase, ...
+        ] = ()  # a tuple, so that it is not a submodule
         self._whom = (0, 0)  # seed, first trial
         self._forget(1)
 
@@ -87,27 +88,26 @@ class ParameterNoise(MixtureStrategy):
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
     ) -> None:
-        """Take the policy whose parameters are to be perturbed."""
+        """Set the policy whose parameters are perturbed."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        check_trials(trials, self.sigma(self.iteration))
         for name, parameter in policy.named_parameters():
             if trials > 1 and (parameter.ndim == 0 or len(parameter) != trials):
                 raise ValueError(
                     f"the first dimension of every parameter must be the {trials} trials, "
-                    f"but {name} is {list(parameter.shape)}"
+                    f"got {name} of shape {list(parameter.shape)}"
                 )
         self._policy, self._whom = (policy,), (seed, first_trial)
         self.scale = np.ones(trials)
         self._forget(trials)
 
     def mixture(self) -> Mixture:
-        """The softmax corner, of ``preferences``."""
+        """Softmax of ``preferences``."""
         return Mixture(softmax=1.0, temperature=self.temperature(self.iteration))
 
     def begin(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
-        """Perturb the parameters of the active trials, which stay so for an episode."""
+        """Perturb the parameters of the active trials for one episode."""
         if not self._policy:
-            raise ValueError("parameter noise needs the policy: call bind(policy, trials) first")
+            raise ValueError("parameter noise has no policy: call bind(policy, trials) first")
         own = {name: p.detach() for name, p in self._policy[0].named_parameters()}
         trials = len(self.scale)
         size = sum(p.numel() for p in own.values()) // trials
@@ -150,7 +150,7 @@ class ParameterNoise(MixtureStrategy):
         )
 
     def _begin_again(self, tensordict: TensorDictBase, first: Tensor) -> None:
-        """Begin the next episode of trials whose frame is a first one, unless it has just begun."""
+        """Begin the next episode of trials at a first frame, unless it has just begun."""
         trial = tensordict.get("trial", None)
         starts = np.zeros(len(self.scale), dtype=np.bool_)
         first = first.reshape(-1)
@@ -166,7 +166,7 @@ class ParameterNoise(MixtureStrategy):
             return functional_call(policy, parameters, (given,)).get(self.logits_key)
 
     def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
-        """The perturbed ones."""
+        """The perturbed parameters."""
         names = {id(parameter): name for name, parameter in self._policy[0].named_parameters()}
         return [self._perturbed[names[id(parameter)]] for parameter in parameters]
 
@@ -196,12 +196,12 @@ class ParameterNoise(MixtureStrategy):
         return (total / frames.clamp(min=1)).numpy(), frames.numpy()
 
     def get_extra_state(self) -> dict[str, Any]:
-        """What ``state_dict`` holds; a perturbation is drawn again from its stream."""
+        """The state for ``state_dict``; perturbations are redrawn from their streams."""
         adapted = {"scale": torch.tensor(self.scale), "episodes": torch.tensor(self._episodes)}
         return {**super().get_extra_state(), **adapted}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore what ``get_extra_state`` gave."""
+        """Restore the state from ``get_extra_state``."""
         super().set_extra_state(state)
         self._forget(len(state["scale"]))
         self.scale, self._episodes = state["scale"].numpy().copy(), state["episodes"].numpy().copy()

@@ -1,8 +1,7 @@
 """Schedules: functions of the iteration.
 
-A parameter of a strategy is a schedule; it decays or grows because its schedule does, not because
-the strategy is another class. Iterations count from 0 and advance once per update of a trial,
-never per frame.
+Each parameter of a strategy is a schedule, so a decaying parameter needs no new strategy class.
+Iterations count from 0 and advance once per update of a trial, never per frame.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ Value = float | NDArray[np.float64]
 class Schedule(ABC):
     """A function i -> value of the iteration i = 0, 1, 2, ...
 
-    The value is a number that holds for every trial, or an array [trials] with one for each.
+    The value is one number for all trials, or an array [trials] with one per trial.
     """
 
     @abstractmethod
@@ -34,7 +33,7 @@ class Schedule(ABC):
     @property
     @abstractmethod
     def bounds(self) -> tuple[float, float]:
-        """The smallest and the largest value that the schedule ever takes or approaches."""
+        """The smallest and largest value that the schedule takes or approaches."""
 
     def __repr__(self) -> str:
         arguments = ", ".join(f"{name}={value}" for name, value in vars(self).items())
@@ -42,7 +41,7 @@ class Schedule(ABC):
 
 
 class Constant(Schedule):
-    """value(i) = value, one number, or one for each trial.
+    """value(i) = value, one number, or one per trial.
 
     Raises:
         ValueError: if a value is not a finite number.
@@ -70,17 +69,17 @@ class Constant(Schedule):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The smallest and the largest value."""
+        """The smallest and largest value."""
         return float(np.min(self.value)), float(np.max(self.value))
 
 
 class _Walk(Schedule):
-    """From ``initial`` in iteration 0 to ``final`` in iteration ``iterations``, and on from there.
+    """From ``initial`` in iteration 0 to ``final`` in iteration ``iterations``, then constant.
 
     Args:
         initial: the value in iteration 0.
         final: the value from iteration ``iterations`` on.
-        iterations: the length of the walk, > 0.
+        iterations: the number of iterations until ``final``, > 0.
 
     Raises:
         ValueError: if an argument is not finite or ``iterations`` < 1.
@@ -100,18 +99,18 @@ class _Walk(Schedule):
 
     @abstractmethod
     def _progress(self, time: float) -> float:
-        """The part of the way that is done at a part of the time, both in [0, 1]."""
+        """The fraction of the change done after a fraction of the time, both in [0, 1]."""
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The smallest and the largest value."""
+        """The smallest and largest value."""
         return min(self.initial, self.final), max(self.initial, self.final)
 
 
 class Linear(_Walk):
     """value(i) = initial + (final − initial) · min(i / iterations, 1).
 
-    Arguments and errors are those of every walk: ``initial``, ``final``, ``iterations`` >= 1.
+    Args and errors: ``initial`` and ``final`` must be finite, ``iterations`` >= 1.
 
     Example:
         >>> [Linear(1.0, 0.0, iterations=4)(i) for i in (0, 1, 4, 9)]
@@ -126,8 +125,7 @@ class Cosine(_Walk):
     """value(i) = final + (initial − final) · (1 + cos(π · min(i / iterations, 1))) / 2.
 
     Slow at both ends and fastest in the middle (Loshchilov & Hutter 2017, "SGDR", eq. 5, without
-    restarts). Arguments and errors are those of every walk: ``initial``, ``final``,
-    ``iterations`` >= 1.
+    restarts). Args and errors: ``initial`` and ``final`` must be finite, ``iterations`` >= 1.
 
     Example:
         >>> [round(Cosine(1.0, 0.0, iterations=3)(i), 6) for i in (0, 1, 2, 3, 9)]
@@ -163,7 +161,7 @@ class Exponential(Schedule):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The smallest and the largest value."""
+        """The smallest and largest value."""
         limit = self.initial if self.decay == 1 else 0.0
         return min(self.initial, limit), max(self.initial, limit)
 
@@ -171,12 +169,12 @@ class Exponential(Schedule):
 class Inverse(Schedule):
     """value(i) = initial / (1 + rate · i)^power.
 
-    The step sizes of Robbins & Monro (1951) at power 1; those of which Σ diverges and Σ of the
-    squares converges have a power in (1/2, 1].
+    At power 1, the step sizes of Robbins & Monro (1951). For powers in (1/2, 1] the sum of the step
+    sizes diverges and the sum of their squares converges.
 
     Args:
         initial: the value in iteration 0.
-        rate: how fast it falls, >= 0; at power 1 the value is halved in iteration 1 / rate.
+        rate: the rate of decay, >= 0; at power 1 the value is half in iteration 1 / rate.
         power: > 0.
 
     Raises:
@@ -198,7 +196,7 @@ class Inverse(Schedule):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The smallest and the largest value; the limit is 0."""
+        """The smallest and largest value; the limit is 0."""
         limit = self.initial if self.rate == 0 else 0.0
         return min(self.initial, limit), max(self.initial, limit)
 
@@ -209,10 +207,10 @@ class Piecewise(Schedule):
     value(i) = value_k + (value_{k+1} − value_k) · (i − i_k) / (i_{k+1} − i_k),  i_k <= i <= i_{k+1}
 
     Args:
-        knots: pairs of an iteration and the value there, at least one, iterations ascending.
+        knots: at least one pair (iteration, value), iterations ascending.
 
     Raises:
-        ValueError: if a knot is not a pair of an iteration >= 0 and a finite number, or the
+        ValueError: if a knot is not a pair of an integer >= 0 and a finite number, or the
             iterations do not ascend.
 
     Example:
@@ -244,17 +242,17 @@ class Piecewise(Schedule):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The smallest and the largest value."""
+        """The smallest and largest value."""
         values = [value for _, value in self.knots]
         return min(values), max(values)
 
 
 class Rows(Schedule):
-    """The values of some of the trials, of a schedule with one value per trial.
+    """The values of some trials from a schedule with one value per trial.
 
     Args:
         schedule: the schedule of all trials.
-        rows: which trials.
+        rows: the trials to keep.
 
     Example:
         >>> Rows(Constant([0.1, 0.2, 0.3]), slice(1, 3))(0)
@@ -271,7 +269,7 @@ class Rows(Schedule):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Those of all trials."""
+        """The bounds over all trials."""
         return self.schedule.bounds
 
 
@@ -286,7 +284,7 @@ def as_schedule(
     """A schedule from a number, a list of one number per trial, or a schedule.
 
     Raises:
-        ValueError: if a value that it takes lies outside of the bounds.
+        ValueError: if the schedule takes a value outside the bounds.
     """
     if not isinstance(value, Schedule):
         single = isinstance(value, str) or np.ndim(value) == 0
@@ -294,7 +292,7 @@ def as_schedule(
             check_number(name, _scalar(number), low, high, low_open=low_open)
         return Constant(value)
     for bound in value.bounds:
-        # A decay may approach an open bound without ever reaching it.
+        # A decay may approach an open bound without reaching it.
         check_number(name, bound, low, high)
     if low_open and np.any(value(0) == low):
         check_number(name, low, low, high, low_open=True)
@@ -302,5 +300,5 @@ def as_schedule(
 
 
 def _scalar(value: Any) -> Any:
-    """A 0-d array as the number in it; anything else as it is."""
+    """The number in a 0-d array; anything else unchanged."""
     return value.item() if isinstance(value, np.ndarray | np.generic) and value.ndim == 0 else value

@@ -1,4 +1,4 @@
-"""What strategies have in common, whatever the actions are."""
+"""The base classes of strategies, and sampling by inverse CDF."""
 
 from __future__ import annotations
 
@@ -19,30 +19,29 @@ from trl_explore.strategies.schedules import Rows, Schedule
 
 
 class BaseStrategy(TensorDictModuleBase):
-    """A behaviour policy μ(·|s) made from what a target policy writes.
+    """A behaviour policy μ(·|s) made from the output of a target policy.
 
-    The ancestor of ``Strategy``, over n actions, and of ``ContinuousStrategy``, over vectors. Here
-    are the hooks that a collector calls, the random numbers and the state; nothing knows of the
-    distribution.
+    The base class of ``Strategy`` (n actions) and ``ContinuousStrategy`` (vectors). It holds the
+    hooks that a collector calls, the random numbers and the state, but no distribution.
 
     Attributes:
-        actions: the kind of the actions, "discrete" or "continuous".
-        exact: whether "action_log_prob" is the exact log-probability of the action under μ; a
-            strategy for which that does not exist writes none.
-        differentiable: whether the probability under μ is differentiable in what the policy writes,
+        actions: the kind of action, "discrete" or "continuous".
+        exact: whether "action_log_prob" is the exact log-probability of the action under μ. If
+            False, the strategy writes none.
+        differentiable: whether the probability under μ is differentiable in the policy's output,
             in every iteration.
-        noise_size: how many uniform numbers it uses for each frame; where more than one, "noise"
-            is [*batch, noise_size].
-        learns_from_data: whether ``step`` learns from the frames of an iteration, and must get
-            them. True in a class that overrides ``step``, unless the class says otherwise.
+        noise_size: the number of uniform numbers per frame; if more than one, "noise" is
+            [*batch, noise_size].
+        learns_from_data: whether ``step`` needs the frames of the iteration. True in a class that
+            overrides ``step``, unless the class declares it.
         per_episode: whether ``begin`` prepares every episode, so that ``preferences`` and ``probs``
             are those of the last episode of an iteration. True in a class that overrides ``begin``,
-            unless the class says otherwise.
+            unless the class declares it.
 
     Args:
-        in_keys: the entries that it reads.
+        in_keys: the entries to read.
         action_key: the entry to write the action to.
-        seed: seed of the module's own generator, used where no "noise" entry is given.
+        seed: seed of the module's own generator, used if there is no "noise" entry.
     """
 
     actions: ClassVar[str]
@@ -67,78 +66,91 @@ class BaseStrategy(TensorDictModuleBase):
         self._generator = torch.Generator().manual_seed(seed)
 
     def serve(self, spec: TensorSpec) -> None:
-        """Learn which actions the environment takes: called once, by the collector.
+        """Check and store the environment's action spec; the collector calls this once.
 
         Args:
             spec: the action spec of the environment.
 
         Raises:
-            ValueError: if they are not of the kind that the strategy draws.
+            ValueError: if the strategy does not draw actions of this kind.
         """
         spec = self._leaf(spec)
         if spec.domain != self.actions:
             raise ValueError(
                 f"{type(self).__name__} draws {self.actions} actions, "
-                f"but those of the environment are {spec.domain}"
+                f"but the environment's actions are {spec.domain}"
             )
 
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
     ) -> None:
-        """Learn which policy the strategy serves: called once, by the collector.
+        """Connect the strategy to its target policy; the collector calls this once.
 
         Args:
             policy: the target policy.
-            trials: the number of trials, rows of the policy's parameters.
+            trials: the number of trials: the rows of the policy's parameters.
             seed: seed of the job.
             first_trial: trial index of row 0.
 
         Raises:
-            ValueError: if a parameter has one value per trial, but not for all.
+            ValueError: if a per-trial parameter does not have one value for every trial.
         """
+        self._per_trial(trials)
 
     def take(self, rows: slice, trials: int) -> None:
-        """Serve only these of the trials: parameters with one value per trial are cut to them.
+        """Keep only some of the trials: cut every per-trial parameter to their rows.
 
         Args:
-            rows: which trials.
-            trials: the number of all trials.
+            rows: the trials to keep.
+            trials: the number of trials before the cut.
 
         Raises:
-            ValueError: if a parameter has one value per trial, but not for all.
+            ValueError: if a per-trial parameter does not have one value for every trial.
         """
-        schedules = {k: value for k, value in vars(self).items() if isinstance(value, Schedule)}
-        for name, schedule in schedules.items():
+        for name, schedule in self._per_trial(trials).items():
+            setattr(self, name, Rows(schedule, rows))
+
+    def _per_trial(self, trials: int) -> dict[str, Schedule]:
+        """The parameters with one value per trial.
+
+        Raises:
+            ValueError: if one does not have one value for every trial.
+        """
+        found: dict[str, Schedule] = {}
+        for name, schedule in vars(self).items():
+            if not isinstance(schedule, Schedule):
+                continue
             value = schedule(self.iteration)
             if isinstance(value, np.ndarray):
                 if len(value) != trials:
                     raise ValueError(
                         f"{name} has {len(value)} values, but there are {trials} trials"
                     )
-                setattr(self, name, Rows(schedule, rows))
+                found[name] = schedule
+        return found
 
     def begin(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
         """Prepare for the next episode of the active trials.
 
         Args:
             active: [trials] bool.
-            episodes: [trials], the number of every trial's next episode, from 0.
+            episodes: [trials], the index of every trial's next episode, from 0.
         """
 
     def step(self, data: TensorDictBase | None = None) -> None:
-        """Advance by one iteration: once per update, whatever the batch.
+        """Advance by one iteration; called once per update.
 
         Args:
-            data: the frames of the iteration, for a strategy that learns from them.
+            data: the frames of the iteration; needed if ``learns_from_data``.
         """
         self.iteration += 1
 
     def get_extra_state(self) -> dict[str, Any]:
-        """What ``state_dict`` holds: the iteration and the state of the module's own generator."""
+        """The state for ``state_dict``: the iteration and the state of the module's generator."""
         return {"iteration": self.iteration, "generator": self._generator.get_state()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore what ``get_extra_state`` gave."""
+        """Restore the state from ``get_extra_state``."""
         self.iteration = int(state["iteration"])
         self._generator.set_state(state["generator"])
 
@@ -146,7 +158,7 @@ class BaseStrategy(TensorDictModuleBase):
         return spec[self.action_key] if isinstance(spec, Composite) else spec
 
     def _noise(self, tensordict: TensorDictBase, like: Tensor) -> Tensor:
-        """The noise [*batch], or [*batch, noise_size], of frames with ``like`` [*batch, n]."""
+        """The noise [*batch] or [*batch, noise_size] for frames shaped as ``like`` [*batch, n]."""
         shape = like.shape[:-1]
         if self.noise_size > 1:
             shape = (*shape, self.noise_size)
@@ -157,74 +169,62 @@ class BaseStrategy(TensorDictModuleBase):
 
 
 def exploring() -> bool:
-    """Whether TorchRL's exploration type asks for exploration: RANDOM, or none set."""
+    """Whether TorchRL's exploration type is RANDOM or unset."""
     return exploration_type() in (ExplorationType.RANDOM, None)
-
-
-def check_trials(trials: int, *values: float | NDArray[np.float64] | Tensor) -> None:
-    """Refuse parameters with a value per trial, but not for all.
-
-    Raises:
-        ValueError: if there is one.
-    """
-    for value in values:
-        if isinstance(value, np.ndarray) and value.shape != (trials,):
-            raise ValueError(f"a parameter has {value.size} values, but there are {trials} trials")
 
 
 def rows(
     value: float | NDArray[np.float64] | Tensor, trial: Tensor | None, like: Tensor
 ) -> float | Tensor:
-    """One number, or the trials' own numbers as a column [*batch, 1], of the dtype of ``like``.
+    """A number as it is, or per-trial values as a column [*batch, 1] in the dtype of ``like``.
 
     Raises:
-        ValueError: if the numbers differ between trials, and those of the frames are not known.
+        ValueError: if the value is per trial and ``trial`` is None.
     """
     if not isinstance(value, np.ndarray):
         return value
     if trial is None:
-        raise ValueError("the parameters differ between trials: the data need a 'trial' entry")
+        raise ValueError("missing key: 'trial' (a parameter has one value per trial)")
     return torch.as_tensor(value, dtype=like.dtype, device=like.device)[trial].unsqueeze(-1)
 
 
 class Strategy(BaseStrategy):
     """A behaviour distribution μ(·|s) over n actions, made from the logits of a target policy.
 
-    A subclass states ``probs(logits)``; everything else is here. The action is drawn by inverse
-    CDF from one uniform number u in [0, 1) per frame:
+    A subclass defines ``probs(logits)``. The action is drawn by inverse CDF from one uniform number
+    u in [0, 1) per frame:
 
         a = min{k : Σ_{j ≤ k} μ(j|s) > u}
 
-    Under ``ExplorationType.RANDOM``, or none set, the strategy explores. Under MODE, MEAN or
+    The strategy explores if TorchRL's exploration type is RANDOM or unset. Under MODE, MEAN or
     DETERMINISTIC it takes the first action of largest logit, with log-probability 0.
 
-    Reads "logits" [*batch, n_actions]; if present "action_mask" [*batch, n_actions] (bool, False
-    forbids: the mask applies to μ), "noise" [*batch] (the u above), and "trial" [*batch].
+    Reads "logits" [*batch, n_actions] and, if present, "action_mask" [*batch, n_actions] (bool,
+    False: μ forbids the action), "noise" [*batch] (the u above) and "trial" [*batch].
     Writes "action" ([*batch] int64, or one-hot [*batch, n_actions] under a ``OneHot`` spec) and
     "action_log_prob" [*batch] (nats, under μ).
 
-    Nothing here knows of trials, CartPole or REINFORCE: after any TorchRL module that writes
-    logits or action values, the module serves any TorchRL project (``logits_key="action_value"``).
-    A collector of this package tells it more: ``bind`` once, ``begin`` before every episode,
-    ``step`` after every update.
+    The module works in any TorchRL project, after any module that writes logits or action values
+    (``logits_key="action_value"``). A collector of this package also calls ``bind`` once, ``begin``
+    before every episode and ``step`` after every update.
 
     Attributes:
-        exact: whether "action_log_prob" is the exact log-probability of the action under μ; a
-            strategy for which that does not exist writes none.
+        exact: whether "action_log_prob" is the exact log-probability of the action under μ. If
+            False, the strategy writes none.
         differentiable: whether ``probs`` is differentiable in the logits, in every iteration.
-        noise_size: how many uniform numbers it uses for each frame; where more than one, "noise"
-            is [*batch, noise_size].
+        noise_size: the number of uniform numbers per frame; if more than one, "noise" is
+            [*batch, noise_size].
 
     Args:
-        spec: the action spec (``Categorical`` or ``OneHot``, also in a ``Composite``); None means
-            that actions are indices.
+        spec: the action spec (``Categorical`` or ``OneHot``, possibly in a ``Composite``); None:
+            actions are indices.
         logits_key: the entry with the preferences.
         action_key: the entry to write the action to.
         action_mask_key: the entry with the mask.
-        seed: seed of the module's own generator, used where no "noise" entry is given.
+        seed: seed of the module's own generator, used if there is no "noise" entry.
 
     Raises:
-        ValueError: if the spec is not of a kind served, or a mask forbids every action.
+        ValueError: if the spec is of another kind, or a mask forbids every action of a state.
     """
 
     actions = "discrete"
@@ -242,20 +242,20 @@ class Strategy(BaseStrategy):
         spec = None if spec is None else self._leaf(spec)
         if spec is not None and type(spec) not in (Categorical, OneHot):
             raise ValueError(
-                f"a strategy serves Categorical and OneHot action specs, got {type(spec).__name__}"
+                f"the action spec must be Categorical or OneHot, got {type(spec).__name__}"
             )
         self.spec = spec
         self.logits_key, self.action_mask_key = logits_key, action_mask_key
 
     @abstractmethod
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
-        """μ(·|s) [*batch, n_actions] in the current iteration; an action of logit −∞ gets 0.
+        """μ(·|s) [*batch, n_actions] in the current iteration; 0 for an action of logit −∞.
 
         Args:
             logits: [*batch, n_actions].
-            trial: [*batch] int64, needed only where parameters differ between trials.
+            trial: [*batch] int64, needed only if parameters differ between trials.
         """
-        raise NotImplementedError(f"{type(self).__name__} does not state its probs")
+        raise NotImplementedError(f"{type(self).__name__} does not define probs")
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw "action" from μ and write "action_log_prob"."""
@@ -276,11 +276,11 @@ class Strategy(BaseStrategy):
         return tensordict
 
     def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
-        """What ``probs`` is given to act on: here the logits of the target policy themselves.
+        """The input of ``probs``: by default, the logits of the target policy.
 
         Args:
-            tensordict: everything known of the frames.
-            logits: [*batch, n_actions], masked: −∞ where an action is forbidden, and stays so.
+            tensordict: the frames.
+            logits: [*batch, n_actions], masked: −∞ where an action is forbidden; keep it there.
         """
         return logits
 
@@ -290,12 +290,12 @@ class Strategy(BaseStrategy):
         """Draw from μ(·|s).
 
         Args:
-            tensordict: everything known of the frames.
+            tensordict: the frames.
             logits: [*batch, n_actions], masked.
             noise: [*batch], or [*batch, noise_size].
 
         Returns:
-            The action [*batch] and its log-probability [*batch]; None if it has no exact one.
+            The action [*batch] and its log-probability [*batch], None if there is no exact one.
         """
         logits = self.preferences(tensordict, logits)
         probs = self.probs(logits, tensordict.get("trial", None))
@@ -311,10 +311,10 @@ class Strategy(BaseStrategy):
 
 
 def inverse_cdf(probs: Tensor, noise: Tensor) -> Tensor:
-    """The action a = min{k : Σ_{j ≤ k} p_j > u · Σ_j p_j} [*batch] of u = ``noise`` [*batch].
+    """The action a = min{k : Σ_{j ≤ k} p_j > u · Σ_j p_j} [*batch] for u = ``noise`` [*batch].
 
     Sums are in float64. Rounding never selects an action of probability 0: u is scaled by the
-    sum as computed, and kept below it.
+    computed sum and kept below it.
 
     Args:
         probs: [*batch, n_actions], non-negative.

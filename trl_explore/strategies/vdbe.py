@@ -1,4 +1,4 @@
-"""Explore while the value changes: ε that follows the learning progress."""
+"""VDBE: an ε that follows the learning progress."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from trl_explore.strategies.mixture import Mixture, MixtureStrategy
 
 
 class VDBE(MixtureStrategy):
-    """ε-greedy with one ε for each trial, large while the trial's mean score still changes.
+    """ε-greedy with one ε per trial, large while the trial's mean score changes.
 
     μ(a|s) = (1 − ε) · 1[a ∈ A*] / |A*| + ε / n_actions,  with, after iteration i of mean score G,
 
@@ -25,19 +25,19 @@ class VDBE(MixtureStrategy):
         ε' = δ · f(Δ, σ) + (1 − δ) · ε
 
     f is the difference of the two Boltzmann probabilities of V and V'. (Tokic 2010, "Adaptive
-    ε-Greedy Exploration in Reinforcement Learning Based on Value Differences", §3, "VDBE".) There
-    V is the value of a state and action, and ε that of a state; a policy gradient has no values,
-    so that V is here a running mean of the trial's scores. Δ is relative to V, without unit, so
-    that one σ serves scores of 10 and of −500. Where the score never changes (nothing but 0 before
-    the first goal), Δ is 0 and ε falls to 0.
+    ε-Greedy Exploration in Reinforcement Learning Based on Value Differences", §3, "VDBE".) In the
+    paper V is a state-action value and ε belongs to a state. A policy gradient has no values, so
+    here V is a running mean of the trial's scores. Δ is relative to V and has no unit, so one σ
+    suits scores of 10 and of −500. If the score never changes (always 0 before the first goal), Δ
+    is 0 and ε falls to 0.
 
-    The scores are ("next", "episode_reward") where ("next", "done"), in the data given to
-    ``step``; without data ε stays.
+    The scores are ("next", "episode_reward") where ("next", "done") is true, in the data given to
+    ``step``; without data ε does not change.
 
     Args:
         initial: ε in iteration 0, in [0, 1].
         sigma: σ > 0, the inverse sensitivity.
-        delta: δ in [0, 1]; Tokic takes 1 / n_actions.
+        delta: δ in [0, 1]; Tokic uses 1 / n_actions.
         step_size: α in (0, 1].
         options: the arguments of ``Strategy``.
 
@@ -74,27 +74,29 @@ class VDBE(MixtureStrategy):
     def bind(
         self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
     ) -> None:
-        """Begin with one ε for each trial."""
+        """Reset ε and V of every trial."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
         self.epsilon, self.value = np.full(trials, self.initial), np.zeros(trials)
 
     def mixture(self) -> Mixture:
-        """A point on the edge from greedy to uniform for each trial."""
+        """ε-greedy, with one ε per trial."""
         epsilon = self.epsilon if len(self.epsilon) > 1 else float(self.epsilon[0])
         return Mixture(greedy=1 - epsilon, uniform=epsilon)
 
     def step(self, data: TensorDictBase | None = None) -> None:
-        """Learn from the scores of the iteration.
+        """Update V and ε from the scores of the iteration.
 
         Raises:
-            KeyError: if the data do not hold the scores.
+            KeyError: if the data have no scores.
         """
         super().step(data)
         if data is None:
             return
         after = data.get("next")
         if "episode_reward" not in after:
-            raise KeyError("VDBE learns from ('next', 'episode_reward'), which the data lack")
+            raise KeyError(
+                "missing key: ('next', 'episode_reward'), the scores that VDBE learns from"
+            )
         done = after.get("done").reshape(-1)
         scores = after.get("episode_reward").reshape(-1)[done].tolist()
         trial = data.get("trial", None)
@@ -118,11 +120,11 @@ class VDBE(MixtureStrategy):
         self.epsilon[k] = self.delta * aim + (1 - self.delta) * self.epsilon[k]
 
     def get_extra_state(self) -> dict[str, Any]:
-        """What ``state_dict`` holds; ε and V of every trial are part of it."""
+        """The state for ``state_dict``, including ε and V of every trial."""
         learnt = {"epsilon": torch.tensor(self.epsilon), "value": torch.tensor(self.value)}
         return {**super().get_extra_state(), **learnt}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore what ``get_extra_state`` gave."""
+        """Restore the state from ``get_extra_state``."""
         super().set_extra_state(state)
         self.epsilon, self.value = state["epsilon"].numpy().copy(), state["value"].numpy().copy()
