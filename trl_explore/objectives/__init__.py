@@ -1,4 +1,4 @@
-"""The REINFORCE loss, with its corrections for off-policy data and its baselines."""
+"""The REINFORCE loss, with off-policy corrections and baselines."""
 
 from trl_explore.objectives.reinforce import ReinforceLoss
 

@@ -1,4 +1,4 @@
-"""The data of an iteration: flat frames of whole episodes, and what follows from them."""
+"""The data of an iteration: flat frames of whole episodes, and quantities derived from them."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from trl_explore.numerics.score import lane_sum
 
 
 class Episodes:
-    """Frames of whole episodes [frames], one episode after the other, and quantities derived.
+    """Frames of whole episodes [frames], one episode after another, and derived quantities.
 
-    Every sum runs over the frames of one episode or one trial, in their order, so that no trial
-    depends on its neighbours.
+    Every sum runs over the frames of one episode or one trial, in order, so trials do not affect
+    each other.
 
     Args:
-        tensordict: what else is known of the frames [frames].
+        tensordict: the frames, with all their entries [frames].
         reward: r [frames].
         done: whether the frame is the last one of its episode [frames].
         trial: [frames] int64 in [0, trials); an episode also ends where it changes.
@@ -52,7 +52,7 @@ class Episodes:
         return len(self.reward)
 
     def to_go(self, reward: Tensor) -> Tensor:
-        """Σ_{j ≥ t} γ^{j−t} x_j, to the end of the episode, of any x = ``reward`` [frames]."""
+        """Σ_{j ≥ t} γ^{j−t} x_j, to the end of the episode, for any x = ``reward`` [frames]."""
         return return_to_go(reward, self.done, self.gamma, self.trial)
 
     @cached_property
@@ -62,7 +62,7 @@ class Episodes:
 
     @cached_property
     def ends(self) -> Tensor:
-        """Whether the frame is the last one of its episode, done or broken off [frames]."""
+        """Whether the frame is the last one of its episode, done or cut off [frames]."""
         ends = self.done.clone()
         ends[:-1] |= self.trial[1:] != self.trial[:-1]
         ends[-1:] = True
@@ -75,12 +75,12 @@ class Episodes:
 
     @cached_property
     def index(self) -> Tensor:
-        """The number of the episode among those in the data [frames] int64."""
+        """The index of the frame's episode in the data [frames] int64."""
         return self.starts.cumsum(0) - 1
 
     @cached_property
     def step(self) -> Tensor:
-        """t, the number of the frame within its episode [frames] int64."""
+        """t, the index of the frame within its episode [frames] int64."""
         place = torch.arange(len(self), device=self.done.device)
         return place - torch.where(self.starts, place, 0).cummax(0).values
 
@@ -90,7 +90,7 @@ class Episodes:
         return self.trial[self.starts]
 
     def cumulated(self, values: Tensor) -> Tensor:
-        """Σ_{j ≤ t} x_j from the beginning of the episode, of any x = ``values`` [frames]."""
+        """Σ_{j ≤ t} x_j from the start of the episode, for any x = ``values`` [frames]."""
         return return_to_go(values.flip(0), self.starts.flip(0), 1.0).flip(0)
 
     def by_episode(self, values: Tensor) -> Tensor:
@@ -131,17 +131,17 @@ def read_episodes(
     trials: int | None,
     gamma: float,
 ) -> tuple[Episodes, Tensor | None]:
-    """Flat frames, and which of the data [*batch] they are; None: all.
+    """Flat frames, and the mask [*batch] that selects them from the data; None: all.
 
     Args:
         tensordict: data in a layout that ``ReinforceLoss`` describes.
         keys: the names of the entries.
-        mask_keys: entries that mark the valid frames, where the data have them.
-        trials: the number of trials; None: the largest of the data plus one.
+        mask_keys: entries that mark the valid frames; each is optional.
+        trials: the number of trials; None: the largest "trial" in the data plus one.
         gamma: discount γ.
 
     Raises:
-        KeyError: if the data lack an entry.
+        KeyError: if an entry is missing.
     """
     after = entry(tensordict, "next")
     reward = entry(after, keys.reward).detach().squeeze(-1)
@@ -157,7 +157,7 @@ def read_episodes(
     mask = torch.stack([mask.reshape(done.shape) for mask in masks]).all(0) if masks else None
     if reward.ndim == 1 and mask is None:
         return Episodes(tensordict, reward, done, trial, trials, gamma), None
-    # Rows, and what is before padding, may break off before they are done.
+    # A row, or the frames before padding, may be cut off before the episode is done.
     done = done.clone()
     done[..., -1:] = True
     if mask is not None:
@@ -168,12 +168,12 @@ def read_episodes(
 
 
 def entry(tensordict: TensorDictBase, key: NestedKey) -> Any:
-    """What the data have under a name.
+    """The entry of the data under ``key``.
 
     Raises:
-        KeyError: if they have nothing.
+        KeyError: if it is missing.
     """
     value = tensordict.get(key, None)
     if value is None:
-        raise KeyError(f"the data have no entry {key!r}")
+        raise KeyError(f"missing key: {key!r}")
     return value

@@ -34,58 +34,58 @@ from trl_explore.strategies import BaseStrategy
 
 REDUCTIONS = ("sum", "mean", "none")
 EPS = 1e-8
-"""Added to the standard deviation that advantages are divided by."""
+"""Added to the standard deviation when advantages are normalised."""
 
 
 class ReinforceLoss(LossModule):
-    """REINFORCE with reward-to-go: one loss for each trial, no critic.
+    """REINFORCE with reward-to-go, one loss per trial, no critic by default.
 
     L_k = −w · Σ_{t ∈ frames of trial k} A_t · log π(a_t | s_t),   A_t = G_t − b_t,
     G_t = Σ_{j ≥ t} γ^{j−t} r_j, to the end of the episode
 
-    (Williams 1992; Sutton & Barto, §13.3; thesis, §2.1 and appendix A.3). Without a correction the
-    gradient is that of the expected return only if the data are on-policy (μ = π), and γ = 1 or
-    ``discount_steps``. A correction changes A_t, or puts μ in the place of π (``corrections``).
-    Adam divides a constant factor such as w out again, but for its ε = 1e-8.
+    (Williams 1992; Sutton & Barto, §13.3; thesis, §2.1 and appendix A.3). Without a correction, the
+    gradient is that of the expected return only if the data are on-policy (μ = π) and γ = 1 or
+    ``discount_steps``. A correction changes A_t or replaces π by μ (``corrections``). Adam cancels
+    a constant factor such as w, apart from its ε = 1e-8.
 
-    An episode ends where "done" is true. *Terminated* and *truncated* episodes are treated alike:
-    the return stops with the last reward, nothing is bootstrapped after a time limit; so is an
-    episode that the data break off. Data of two layouts are served:
+    An episode ends where "done" is true. *Terminated*, *truncated* and cut-off episodes are treated
+    alike: the return ends with the last reward, without bootstrapping. Data have one of two
+    layouts:
 
-    * flat [frames], the episodes of one or more trials one after the other ("trial" says whose;
-      without it, all frames are one trial's);
+    * flat [frames], the episodes of one or more trials one after another ("trial" is the trial of
+      each frame; without it, all frames belong to one trial);
     * [batch, time] as TorchRL's collectors deliver it (without "trial", every row is a trial).
-      Frames that TorchRL marks as padding, in ("collector", "mask"), count for nothing.
+      Frames that TorchRL marks as padding, in ("collector", "mask"), are ignored.
 
-    Reads what the actor reads, "action", ("next", "reward") and ("next", "done") [*batch, 1],
-    "trial" [*batch] int64, and where a correction needs it "action_log_prob" [*batch]. Returns
-    "loss_actor" (reduced) and "trial_loss" [trials], the same losses before reduction, detached;
-    with a learned baseline also "loss_value" (reduced). After the update, ``step`` lets the
-    baseline learn from the same data.
+    Reads the actor's inputs, "action", ("next", "reward") and ("next", "done") [*batch, 1], "trial"
+    [*batch] int64 and, if a correction needs it, "action_log_prob" [*batch]. Returns "loss_actor"
+    (reduced) and "trial_loss" [trials], the same losses before reduction, detached; with a learned
+    baseline also "loss_value" (reduced). After the update, ``step`` updates the baseline with the
+    same data.
 
     Args:
         actor_network: the target policy π, any ``ProbabilisticActor``.
 
     Keyword Args:
         gamma: discount γ in [0, 1].
-        weight: w > 0; the thesis multiplies the loss with the learning rate (appendix A.3).
-        correction: what makes up for μ ≠ π; None: nothing (the thesis).
+        weight: w > 0; the thesis multiplies the loss by the learning rate (appendix A.3).
+        correction: the off-policy correction for μ ≠ π; None: no correction (the thesis).
         baseline: b, a number (0 in the thesis) or one of ``baselines``.
-        discount_steps: whether A_t is multiplied with γ^t: without, the gradient is that of no
-            objective at γ < 1 (Sutton & Barto, §13.3; Nota & Thomas 2020).
-        normalize_advantage: whether the A_t of a trial's iteration are scaled to mean 0 and
-            standard deviation 1 (with no baseline and correction: its returns). Biased.
-        entropy_coeff: c >= 0; L_k also contains −w · c · Σ_t H(π(·|s_t)) (Williams & Peng 1991);
-            under ``correction=behaviour``, of μ.
-        strategy: what the data are collected with; a correction may refuse it, or need it.
-        trials: the number of trials; None takes the largest "trial" of the data plus one.
-        reduction: of the trials' losses: "sum", "mean" or "none".
+        discount_steps: whether A_t is multiplied by γ^t; without it, at γ < 1 the gradient is not
+            the gradient of any objective (Sutton & Barto, §13.3; Nota & Thomas 2020).
+        normalize_advantage: whether each trial's A_t of an iteration (the returns, without baseline
+            and correction) are scaled to mean 0 and standard deviation 1. Biased.
+        entropy_coeff: c >= 0; adds −w · c · Σ_t H(π(·|s_t)) to L_k (Williams & Peng 1991); with
+            ``correction=behaviour``, the entropy of μ.
+        strategy: the strategy that collects the data; some corrections need it or reject it.
+        trials: the number of trials; None: the largest "trial" in the data plus one.
+        reduction: reduction over the trials' losses: "sum", "mean" or "none".
         functional: as in TorchRL: whether the parameters are copied into the loss's own container.
 
     Raises:
         ValueError: if a number is out of range, the reduction is unknown, or the correction does
-            not exist for the strategy.
-        KeyError: if the data lack an entry.
+            not support the strategy.
+        KeyError: if the data miss an entry.
 
     Example:
         >>> import torch
@@ -120,8 +120,8 @@ class ReinforceLoss(LossModule):
     default_keys = _AcceptedKeys
     out_keys = ["loss_actor", "trial_loss"]  # noqa: RUF012  # pyright: ignore
     closed_form: ClassVar[bool] = True
-    """Whether ``backward`` may take a formula in place of ``forward`` and autograd. False in a
-    class that overrides ``forward``, unless the class says otherwise."""
+    """Whether ``backward`` may use a closed form instead of ``forward`` and autograd. False in a
+    class that overrides ``forward``, unless the class declares it."""
 
     actor_network: ProbabilisticTensorDictSequential
     actor_network_params: TensorDictParams
@@ -172,7 +172,7 @@ class ReinforceLoss(LossModule):
 
     @property
     def functional(self) -> bool:
-        """Whether the loss holds a copy of the parameters' container."""
+        """Whether the loss holds its own container of the parameters."""
         return self._functional
 
     @property
@@ -194,7 +194,7 @@ class ReinforceLoss(LossModule):
     def _forward_value_estimator_keys(self, **kwargs: NestedKey) -> None:
         self._in_keys = None
 
-    @dispatch  # pyright: ignore[reportArgumentType] - it is its own decorator
+    @dispatch  # pyright: ignore[reportArgumentType] - also a decorator
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The losses of a batch of episodes."""
         episodes, _ = self._episodes(tensordict)
@@ -220,12 +220,12 @@ class ReinforceLoss(LossModule):
         return TensorDict._new_unsafe(out, batch_size=torch.Size([]))
 
     def backward(self, tensordict: TensorDictBase) -> Tensor:
-        """Add the gradients of the losses to those of the parameters, and return "trial_loss".
+        """Accumulate the gradient of the sum of all losses, and return "trial_loss".
 
-        What is differentiated is the sum of all losses. Where π is the softmax of a linear policy
-        its gradient has a closed formula, which takes a fraction of autograd's time and gives the
-        same bits. Which of the two serves is decided when the loss is built: hooks of the policy
-        and of its weights are called if they are registered before that.
+        If π is the softmax of a linear policy, the gradient has a closed form, which takes a
+        fraction of autograd's time and gives the same bits. The choice between the two is made when
+        the loss is built, so hooks of the policy and of its weights are called only if they are
+        registered before that.
         """
         found = self._closed_form(tensordict) if self._has_closed_form else None
         if found is not None:
@@ -237,7 +237,7 @@ class ReinforceLoss(LossModule):
         return losses.get("trial_loss")
 
     def _closed_form(self, tensordict: TensorDictBase) -> Tensor | None:
-        """``backward`` without a graph; None where the formula does not serve these data."""
+        """``backward`` without a graph; None if the closed form does not apply to these data."""
         episodes, _ = self._episodes(tensordict)
         frames, trial = episodes.tensordict, episodes.trial
         weight = self._linear_weight(episodes)
@@ -266,7 +266,7 @@ class ReinforceLoss(LossModule):
         return trial_loss
 
     def _linear_weight(self, episodes: Episodes) -> Tensor | None:
-        """W [trials, n_actions, n_features] of a linear softmax; None where a mask changes π."""
+        """W [trials, n_actions, n_features] of a linear softmax; None if a mask changes π."""
         if self._weight_key is None or "action_mask" in episodes.tensordict:
             return None
         if self.functional:
@@ -276,14 +276,14 @@ class ReinforceLoss(LossModule):
         return weight if len(weight) == episodes.trials else None
 
     def _is_return_alone(self) -> bool:
-        """Whether the factor of ∇log π is the return less the baseline, and no more."""
+        """Whether the factor of ∇log π is exactly the return minus the baseline."""
         more = self.discount_steps or self.normalize_advantage
         return self.correction.leaves_returns and not more
 
     def advantage(self, tensordict: TensorDictBase) -> Tensor:
         """The factor of ∇log π(a_t|s_t) for every frame, in the shape of the data [*batch].
 
-        G_t − b_t where nothing is corrected; 0 for padding.
+        G_t − b_t without a correction; 0 for padding.
         """
         episodes, mask = self._episodes(tensordict)
         action = entry(episodes.tensordict, self.tensor_keys.action)
@@ -296,7 +296,7 @@ class ReinforceLoss(LossModule):
         return out
 
     def step(self, tensordict: TensorDictBase) -> None:
-        """Let the baseline learn from an iteration's data: once, after the update."""
+        """Update the baseline with an iteration's data; call once, after the update."""
         if self.baseline.learns_from_data:
             self.baseline.step(self._episodes(tensordict)[0])
 
@@ -319,7 +319,7 @@ class ReinforceLoss(LossModule):
         return factor
 
     def _episodes(self, tensordict: TensorDictBase) -> tuple[Episodes, Tensor | None]:
-        """Flat frames, and which of the data [*batch] they are; None: all."""
+        """Flat frames, and the mask [*batch] that selects them from the data; None: all."""
         masks = self._loss_mask_keys()
         return read_episodes(tensordict, self.tensor_keys, masks, self.trials, self.gamma)
 
@@ -335,9 +335,9 @@ class ReinforceLoss(LossModule):
 
 
 def linear_weight_key(actor: ProbabilisticTensorDictSequential) -> tuple[str, ...] | None:
-    """Where W is among the parameters of a linear softmax; None if the formula does not serve.
+    """The key of W among the parameters of a linear softmax; None if there is no closed form.
 
-    That is the case for another π, and where hooks of the gradient are registered.
+    There is none for any other π, or if gradient hooks are registered on W.
     """
     if not has_linear_softmax(actor):
         return None

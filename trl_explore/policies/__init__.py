@@ -1,4 +1,4 @@
-"""Policies: (observation, trial) -> logits, or loc and scale; every trial has its parameters."""
+"""Policies: (observation, trial) -> logits, or loc and scale; each trial has its own parameters."""
 
 from trl_explore.policies.gaussian import GaussianLinearPolicy, GaussianMLPPolicy, LaneGaussian
 from trl_explore.policies.initial import INITS, glorot_uniform, initial_weights

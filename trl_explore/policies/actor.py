@@ -1,4 +1,4 @@
-"""The target policy as a distribution, for the loss; nothing about exploration is in it."""
+"""The target policy π as a distribution, for the loss; it excludes exploration."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from trl_explore.policies.policy import has_hooks
 
 
 class SoftmaxCategorical(TorchCategorical):
-    """π = softmax(logits) over actions; like torch's Categorical, and cheaper for log π(a|s).
+    """π = softmax(logits) over actions; like torch's Categorical, but faster for log π(a|s).
 
     Args:
-        logits: [*batch, n_actions], not necessarily normalised.
+        logits: [*batch, n_actions], may be unnormalised.
         mask: [*batch, n_actions] bool, False where an action is not allowed (probability 0).
     """
 
@@ -51,7 +51,7 @@ class SoftmaxCategorical(TorchCategorical):
         return self._unnormalised.shape
 
     def log_prob(self, value: Tensor) -> Tensor:
-        """The log-probability of ``value``, in its shape, which broadcasts with the batch."""
+        """The log-probability of ``value``, which broadcasts with the batch."""
         shape = torch.broadcast_shapes(value.shape, self.batch_shape)
         logits = self._unnormalised.expand(*shape, self._num_events)
         return categorical_log_prob(logits, value.expand(shape))
@@ -62,20 +62,20 @@ class SoftmaxCategorical(TorchCategorical):
 
     @property
     def deterministic_sample(self) -> Tensor:
-        """The most probable action [*batch]; what TorchRL asks for in deterministic modes."""
+        """The most probable action [*batch]; TorchRL uses it in deterministic modes."""
         return self._unnormalised.argmax(-1)
 
 
 class SoftmaxActor(ProbabilisticActor):
-    """The target policy π = softmax(logits) over a module that writes "logits".
+    """The target policy π = softmax(logits), on top of a module that writes "logits".
 
-    It shares its parameters with ``policy`` and serves the loss (``get_dist``); the behaviour in
-    the environment is the policy followed by a strategy.
+    It shares its parameters with ``policy`` and is for the loss (``get_dist``). In the environment,
+    the behaviour policy is the policy followed by a strategy.
 
     Args:
         policy: a module that writes "logits".
-        masked: whether "action_mask" [*batch, n_actions] is an input of the actor. In the loss π
-            obeys a mask wherever the data have one.
+        masked: whether "action_mask" [*batch, n_actions] is a required input of the actor. In the
+            loss, π obeys a mask whenever the data have one.
     """
 
     def __init__(self, policy: TensorDictModule, *, masked: bool = False) -> None:
@@ -89,7 +89,7 @@ class SoftmaxActor(ProbabilisticActor):
 
 
 class DiagonalGaussian(IndependentNormal):
-    """π = N(loc, diag(scale²)); like TorchRL's ``IndependentNormal``, each sum in a fixed order.
+    """π = N(loc, diag(scale²)), as TorchRL's ``IndependentNormal``, with sums in a fixed order.
 
     Args:
         loc: [*batch, n_dims].
@@ -105,14 +105,14 @@ class DiagonalGaussian(IndependentNormal):
         return gaussian_log_prob(*torch.broadcast_tensors(value, normal.loc, normal.scale))
 
     def entropy(self) -> Tensor:
-        """Differential entropy [*batch] (nats): that of π without the clipping of actions."""
+        """Differential entropy [*batch] of π before clipping of actions (nats)."""
         return gaussian_entropy(self.base_dist.scale)
 
 
 class GaussianActor(ProbabilisticActor):
-    """The target policy π = N(loc, diag(scale²)) over a module that writes "loc" and "scale".
+    """The target policy π = N(loc, diag(scale²)), on top of a module that writes "loc" and "scale".
 
-    As ``SoftmaxActor``, it shares its parameters with ``policy`` and serves the loss.
+    Like ``SoftmaxActor``, it shares its parameters with ``policy`` and is for the loss.
 
     Args:
         policy: a module that writes "loc" and "scale" [*batch, n_dims].
@@ -123,12 +123,12 @@ class GaussianActor(ProbabilisticActor):
 
 
 def actor_of(policy: TensorDictModule) -> ProbabilisticActor:
-    """The target policy as a distribution, by what the policy writes.
+    """The target policy as a distribution, chosen by the entries that the policy writes.
 
-    "logits" are those of a softmax, "loc" and "scale" those of a Gaussian.
+    "logits" give a softmax; "loc" and "scale" give a Gaussian.
 
     Raises:
-        ValueError: if it writes neither.
+        ValueError: if the policy writes neither.
     """
     written = set(policy.out_keys)
     if "logits" in written:
@@ -148,7 +148,7 @@ def frame_log_prob(
 
     Args:
         actor: the target policy, any ``ProbabilisticActor``.
-        tensordict: flat frames [frames] with what the actor reads.
+        tensordict: flat frames [frames] with the entries that the actor reads.
         action: [frames, ...].
 
     Raises:
@@ -170,13 +170,13 @@ def frame_log_prob(
 def frame_distribution(
     actor: ProbabilisticTensorDictSequential, tensordict: TensorDictBase
 ) -> Distribution:
-    """π(·|s) of every frame; it obeys an action mask wherever the data have one."""
-    # On a copy, since the actor writes to what it is given.
+    """π(·|s) of every frame; it obeys an action mask if the data have one."""
+    # On a copy, because the actor writes to its input.
     if not isinstance(actor, SoftmaxActor):
         return actor.get_dist(tensordict.copy())
     mask = tensordict.get("action_mask", None)
     if actor.masked and mask is None:
-        raise KeyError("the data have no entry 'action_mask'")
+        raise KeyError("missing key: 'action_mask'")
     return SoftmaxCategorical(actor[0](tensordict.copy()).get("logits"), mask)
 
 
@@ -192,9 +192,9 @@ def score_sum(
 
     Args:
         actor: the target policy, any ``ProbabilisticActor``.
-        tensordict: flat frames [frames] with what the actor reads.
+        tensordict: flat frames [frames] with the entries that the actor reads.
         action: [frames, ...].
-        advantage: A, a constant factor of each frame [frames].
+        advantage: A, a factor per frame [frames], without gradient.
         trial: [frames] int64 in [0, trials).
         trials: the number of trials.
 
@@ -209,9 +209,10 @@ def score_sum(
 
 
 def has_linear_softmax(actor: ProbabilisticTensorDictSequential) -> bool:
-    """Whether π = softmax(W[trial] observation), of which the gradient has a closed formula.
+    """Whether π = softmax(W[trial] observation), whose gradient has a closed form.
 
-    A policy declares it in ``linear_softmax``; forward hooks may change what it writes.
+    The policy declares it in ``linear_softmax``. False with forward hooks, which may change the
+    logits.
     """
     if not isinstance(actor, SoftmaxActor) or actor.masked:
         return False

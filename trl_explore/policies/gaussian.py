@@ -16,17 +16,17 @@ from trl_explore.numerics.layers import lane_linear
 from trl_explore.policies.policy import LaneLinear, LaneMLP, n_dims, n_features
 
 LARGEST_LOG = 20.0
-"""Log-scales are kept within ±20: beyond, a single action or density is no longer finite."""
+"""Log-scales are kept within ±20; beyond that, an action or density may not be finite."""
 
 
 class LaneGaussian(nn.Module):
-    """(observation, trial) -> (loc, scale): a network for each trial, and the scale beside it.
+    """(observation, trial) -> (loc, scale), with one network for each trial.
 
     Args:
-        network: the mean, and the initial weights of its layers.
-        log_scale: [n_dims], the first logarithm of the scale.
-        state_dependent: whether the network gets n_dims outputs more, zero at first, that are added
-            to ``log_scale``, then a constant; else ``log_scale`` [trials, n_dims] is learned.
+        network: the network for the mean, with initial weights.
+        log_scale: [n_dims], the initial logarithm of the scale.
+        state_dependent: if True, the network gets n_dims further outputs, initially zero, that are
+            added to a constant ``log_scale``; if False, ``log_scale`` [trials, n_dims] is learned.
     """
 
     def __init__(self, network: LaneMLP, log_scale: Tensor, *, state_dependent: bool) -> None:
@@ -54,7 +54,7 @@ class LaneGaussian(nn.Module):
 
 
 def _doubled(weights: Tensor) -> Tensor:
-    """[trials, n_out, ...] with as many zeros appended."""
+    """[trials, n_out, ...] with n_out rows of zeros appended: [trials, 2 n_out, ...]."""
     return torch.cat([weights, torch.zeros_like(weights)], 1)
 
 
@@ -63,25 +63,24 @@ def _scale(log_scale: Tensor) -> Tensor:
 
 
 class GaussianMLPPolicy(TensorDictModule):
-    """π(·|s) = N(MLP(s), diag(scale²)), one multilayer perceptron (``LaneMLP``) for each trial.
+    """π(·|s) = N(MLP(s), diag(scale²)), one multilayer perceptron (``LaneMLP``) per trial.
 
-    log scale is a parameter of the trial, the same in every state, or, where that is asked for,
-    log initial_scale + h(s) with h further outputs of the network, zero at first (Williams 1992,
-    §6; Sutton & Barto 2018, §13.7). It is kept within ±20. Actions are not squashed: the
-    environment clips those outside of its box.
+    log scale is a parameter per trial, the same in every state. With ``state_dependent_scale`` it
+    is log initial_scale + h(s), where h are further outputs of the network, initially zero
+    (Williams 1992, §6; Sutton & Barto 2018, §13.7). It is kept within ±20. Actions are not
+    squashed; the environment clips them to its box.
 
     Reads "observation" [*batch, n_features] and "trial" [*batch] (the row of the parameters);
     writes "loc" and "scale" [*batch, n_dims], in the units of the actions.
 
     Args:
-        env: the environment, whose specs give the sizes and whose batch size the trials.
+        env: the environment; its specs give the layer sizes, its batch size the number of trials.
         hidden: the units of every hidden layer; an empty list makes the mean linear.
         activation: "tanh" or "relu".
-        bias: whether the layers have biases, which begin at 0.
-        init: how weights begin, a name of ``initial_weights``.
-        output_gain: factor of the last layer's initial weights; with a small one the mean begins
-            near 0.
-        initial_scale: the first standard deviation > 0, one number or one per dimension.
+        bias: whether the layers have biases, initially 0.
+        init: the initial weights, a name from ``initial_weights``.
+        output_gain: factor of the last layer's initial weights; if small, the mean starts near 0.
+        initial_scale: the initial standard deviation > 0, one number or one per dimension.
         state_dependent_scale: whether the scale depends on the observation.
         seed: seed of the job.
         first_trial: trial index of row 0.
@@ -133,16 +132,16 @@ class GaussianMLPPolicy(TensorDictModule):
 
 
 class GaussianLinearPolicy(GaussianMLPPolicy):
-    """π(·|s) = N(W s + b, diag(scale²)), one W, b and scale for each trial.
+    """π(·|s) = N(W s + b, diag(scale²)), one W, b and scale per trial.
 
     The Gaussian counterpart of ``LinearPolicy``: a ``GaussianMLPPolicy`` without hidden layers.
 
     Args:
-        env: the environment, whose specs give the sizes and whose batch size the trials.
-        bias: whether there is a b, which begins at 0.
-        init: how W begins, a name of ``initial_weights``.
+        env: the environment; its specs give the layer sizes, its batch size the number of trials.
+        bias: whether there is a b, initially 0.
+        init: the initial W, a name from ``initial_weights``.
         output_gain: factor of the initial W.
-        initial_scale: the first standard deviation > 0, one number or one per dimension.
+        initial_scale: the initial standard deviation > 0, one number or one per dimension.
         state_dependent_scale: whether the scale depends on the observation, log-linearly.
         streams: ``seed`` of the job and ``first_trial``, the trial index of row 0.
 
@@ -179,7 +178,7 @@ def _log_scale(initial_scale: float | Sequence[float], dims: int) -> Tensor:
     values = list(initial_scale) if several else [initial_scale] * dims  # pyright: ignore
     if len(values) != dims:
         raise ValueError(
-            f"initial_scale has {len(values)} values, but an action has {dims} dimensions"
+            f"initial_scale has {len(values)} values, but actions have {dims} dimensions"
         )
     bounds = math.exp(-LARGEST_LOG), math.exp(LARGEST_LOG)
     return torch.tensor([math.log(check_number("initial_scale", v, *bounds)) for v in values])

@@ -1,4 +1,4 @@
-"""Initial weights: each trial's come from a stream of its own, whatever trials are beside it."""
+"""Initial weights; each trial draws from its own stream, independent of the other trials."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from trl_explore.checks import check_integer, check_number
 from trl_explore.numerics.streams import Stream, generator
 
 WIDEST = 100_000
-"""A layer with more units than this is taken for a mistake."""
+"""The largest number of units per layer; more is treated as a mistake."""
 
 Draw = Callable[[np.random.Generator, int, int], NDArray[np.float64]]
 
@@ -48,7 +48,7 @@ INITS: dict[str, Draw] = {
     "orthogonal": _orthogonal,
     "zeros": lambda draws, n_out, n_in: np.zeros((n_out, n_in)),
 }
-"""Name -> the weights [n_out, n_in] of one layer of one trial."""
+"""Name -> weights [n_out, n_in] of one layer of one trial."""
 
 
 def initial_weights(
@@ -61,9 +61,9 @@ def initial_weights(
     first_trial: int = 0,
     network: int = 0,
 ) -> list[Tensor]:
-    """The weights of a chain of layers, for every trial from its own stream.
+    """The weights of a chain of layers; each trial draws from its own stream.
 
-    Those of a layer with n_in inputs and n_out outputs are, as ``init`` says:
+    ``init`` gives the weights of a layer with n_in inputs and n_out outputs:
 
         glorot_uniform   U(−b, b), b = √(6 / (n_in + n_out))   Glorot & Bengio 2010, eq. 16
         glorot_normal    N(0, 2 / (n_in + n_out))              Glorot & Bengio 2010, eq. 12
@@ -75,21 +75,20 @@ def initial_weights(
         zeros            0
 
     Args:
-        sizes: the numbers of inputs, of hidden units of every layer, and of outputs.
+        sizes: the number of inputs, the units of every hidden layer, and the number of outputs.
         trials: the number of trials.
         init: one of the names above.
-        output_gain: factor of the last layer's weights, >= 0; a small one makes the first outputs
-            nearly 0.
+        output_gain: factor of the last layer's weights, >= 0; if small, initial outputs are near 0.
         seed: seed of the job.
         first_trial: trial index of row 0.
-        network: which network of the trial it is: two networks of a trial (such as a policy, 0,
-            and a critic, 1) share no number.
+        network: the index of the network within the trial, such as 0 for a policy and 1 for a
+            critic; different networks use different random numbers.
 
     Returns:
         [trials, n_out, n_in] float32 for every layer.
 
     Raises:
-        ValueError: if ``init`` is unknown, a size is not positive, or the gain is negative.
+        ValueError: if ``init`` is unknown, a size is out of range, or the gain is negative.
 
     Example:
         >>> [w.shape for w in initial_weights([4, 32, 2], trials=3)]
@@ -113,7 +112,7 @@ def initial_weights(
 def glorot_uniform(
     trials: int, n_out: int, n_in: int, *, seed: int = 0, first_trial: int = 0
 ) -> Tensor:
-    """Weights W ~ U(−b, b), b = √(6 / (n_in + n_out)), for every trial from a stream of its own.
+    """Weights W ~ U(−b, b), b = √(6 / (n_in + n_out)); each trial draws from its own stream.
 
     The bound is that of one trial's layer (Glorot & Bengio 2010, eq. 16; the initialiser of the
     thesis's ``slim.fully_connected``).

@@ -1,4 +1,4 @@
-"""What a policy reads from the specs of its environment, and what it may be besides."""
+"""Layers with one set of weights per trial, and the sizes in an environment's specs."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def n_features(env: EnvBase) -> int:
 
 
 def observation_space(env: EnvBase) -> gym.Space:
-    """The observation space of an environment of ``make_env``, before that made a vector of it."""
+    """The observation space of an environment of ``make_env`` before flattening."""
     import gymnasium as gym
 
     from trl_explore.envs import lane_env
@@ -68,7 +68,7 @@ def is_one_hot(env: EnvBase) -> bool:
 
 
 def has_hooks(module: nn.Module) -> bool:
-    """Whether a call of the module, or of one in it, does more than its ``forward`` says."""
+    """Whether the module or a submodule has hooks, so that a call does more than ``forward``."""
     kinds = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
     return any(getattr(part, kind) for part in module.modules() for kind in kinds)
 
@@ -92,24 +92,24 @@ class LaneLinear(nn.Module):
 
 
 class LaneMLP(nn.Module):
-    """A multilayer perceptron for each trial: y = W_L h_{L−1} + b_L, h_i = φ(W_i h_{i−1} + b_i).
+    """A multilayer perceptron per trial: y = W_L h_{L−1} + b_L, h_i = φ(W_i h_{i−1} + b_i).
 
-    h_0 is the input; φ = tanh or relu; biases begin at 0. No sum runs over frames of different
-    trials, and each runs in a fixed order, so that a trial's outputs and gradients are the same,
-    bit for bit, whatever trials are beside it.
+    h_0 is the input; φ = tanh or relu; biases are initially 0. Each sum runs over the frames of one
+    trial, in a fixed order, so a trial's outputs and gradients do not depend on the other trials,
+    bit for bit.
 
     Args:
-        sizes: the numbers of inputs, of units of every hidden layer (any number of them), and of
-            outputs.
+        sizes: the number of inputs, the units of every hidden layer (any number of layers), and
+            the number of outputs.
         trials: the number of trials.
         activation: φ, "tanh" or "relu".
-        init: how weights begin, a name of ``initial_weights``; "zeros" only without hidden layers,
-            for weights before hidden units that are all alike have no gradient.
+        init: the initial weights, a name from ``initial_weights``; "zeros" only without hidden
+            layers, which would have no gradient.
         seed: seed of the job.
         first_trial: trial index of row 0.
         bias: whether there are biases.
         output_gain: factor of the last layer's initial weights.
-        network: which network of the trial it is, see ``initial_weights``.
+        network: the index of the network within the trial, see ``initial_weights``.
 
     Raises:
         ValueError: if an argument is out of range or unknown.
@@ -139,7 +139,7 @@ class LaneMLP(nn.Module):
         if not isinstance(bias, bool):
             raise ValueError(f"bias must be true or false, got {bias!r}")
         if init == "zeros" and len(sizes) > 2:
-            raise ValueError("init 'zeros' leaves hidden layers without a gradient; choose another")
+            raise ValueError("init 'zeros' gives hidden layers no gradient; choose another init")
         streams = {"seed": seed, "first_trial": first_trial, "network": network}
         weights = initial_weights(sizes, trials, init, output_gain=output_gain, **streams)
         self.layers = nn.ModuleList(

@@ -1,4 +1,4 @@
-"""Softmax policies: linear (the thesis), a table, and a multilayer perceptron."""
+"""Softmax policies: linear (the thesis), tabular, and multilayer perceptron."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from trl_explore.policies.policy import (
 
 
 class LinearPolicy(TensorDictModule):
-    """The linear-softmax policy: π(·|s) = softmax(W s), one W for each trial (thesis, A.1).
+    """The linear softmax policy: π(·|s) = softmax(W s), one W per trial (thesis, A.1).
 
     Reads "observation" [*batch, n_features] and "trial" [*batch] (the row of the parameters);
-    writes "logits" [*batch, n_actions]. Nothing about exploration is in it.
+    writes "logits" [*batch, n_actions].
 
     Attributes:
         linear_softmax: whether the logits are W s, so that the gradient of log π has a closed
-            formula. False in a class that overrides ``forward``, unless the class says otherwise.
+            form. False in a class that overrides ``forward``, unless the class declares it.
 
     Args:
-        env: the environment, whose specs give the sizes and whose batch size the trials.
-        init: how W begins, a name of ``initial_weights``.
+        env: the environment; its specs give the layer sizes, its batch size the number of trials.
+        init: the initial W, a name from ``initial_weights``.
         seed: seed of the job.
         first_trial: trial index of row 0.
 
@@ -69,13 +69,13 @@ class LinearPolicy(TensorDictModule):
 
 
 class TabularPolicy(LinearPolicy):
-    """π(a|s) = softmax(W[·, s])_a, one table W for each trial (Sutton & Barto 2018, §13.1).
+    """π(a|s) = softmax(W[·, s])_a, one table W per trial (Sutton & Barto 2018, §13.1).
 
-    A ``LinearPolicy`` on the one-hot state, zero at first: π begins uniform.
+    A ``LinearPolicy`` on the one-hot state. W is initially zero, so π is initially uniform.
 
     Args:
         env: an environment of ``make_env`` whose observation is discrete (one-hot).
-        init: how W [trials, n_actions, n_states] begins, a name of ``initial_weights``.
+        init: the initial W [trials, n_actions, n_states], a name from ``initial_weights``.
         seed: seed of the job.
         first_trial: trial index of row 0.
 
@@ -94,23 +94,23 @@ class TabularPolicy(LinearPolicy):
     ) -> None:
         if not is_one_hot(env):
             space = " ".join(str(observation_space(env)).split())
-            raise ValueError(f"a table needs Discrete observations, got {space}")
+            raise ValueError(f"TabularPolicy needs Discrete observations, got {space}")
         super().__init__(env, init=init, seed=seed, first_trial=first_trial)
 
 
 class MLPPolicy(TensorDictModule):
-    """π(·|s) = softmax(MLP(s)), one multilayer perceptron (``LaneMLP``) for each trial.
+    """π(·|s) = softmax(MLP(s)), one multilayer perceptron (``LaneMLP``) per trial.
 
     Reads "observation" [*batch, n_features] and "trial" [*batch] (the row of the parameters);
     writes "logits" [*batch, n_actions].
 
     Args:
-        env: the environment, whose specs give the sizes and whose batch size the trials.
+        env: the environment; its specs give the layer sizes, its batch size the number of trials.
         hidden: the units of every hidden layer; an empty list makes the policy linear.
         activation: "tanh" or "relu".
-        bias: whether the layers have biases, which begin at 0.
-        init: how weights begin, a name of ``initial_weights``.
-        output_gain: factor of the last layer's initial weights; with a small one π begins nearly
+        bias: whether the layers have biases, initially 0.
+        init: the initial weights, a name from ``initial_weights``.
+        output_gain: factor of the last layer's initial weights; if small, π is initially near
             uniform.
         seed: seed of the job.
         first_trial: trial index of row 0.

@@ -1,4 +1,4 @@
-"""Baselines: what is subtracted from the return, from a trial's own data only."""
+"""Baselines b_t, subtracted from the return; each uses the trial's own data only."""
 
 from trl_explore.objectives.baselines.baseline import Baseline, Constant, EpisodeMean, as_baseline
 from trl_explore.objectives.baselines.leave_one_out import LeaveOneOut

@@ -1,4 +1,4 @@
-"""What is subtracted from the return, and the simplest case of it."""
+"""The base class of baselines, and the two simplest."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from trl_explore.objectives.episodes import Episodes
 
 
 class Baseline(nn.Module, ABC):
-    """b_t, what is subtracted from the return G_t before it weighs ∇log π(a_t|s_t).
+    """b_t, subtracted from the return G_t before it weights ∇log π(a_t|s_t).
 
-    A baseline that does not depend on the action a_t leaves the expected gradient as it is and
-    changes its variance (Williams 1992, §4; Sutton & Barto, §13.4). It knows a trial's own data
-    only. What it learns, it learns in ``step``, after the update, so that a frame's baseline
-    never contains the return of the frame itself.
+    A baseline that does not depend on the action a_t changes the variance of the gradient, but not
+    its expectation (Williams 1992, §4; Sutton & Barto, §13.4). It uses only the trial's own data.
+    It learns in ``step``, after the update, so a frame's baseline never contains the frame's own
+    return.
 
-    State is kept in buffers, in parameters, or in ``get_extra_state`` as plain arrays.
+    Keep state in buffers, in parameters, or as plain arrays in ``get_extra_state``.
 
     Attributes:
         learns_from_data: whether ``step`` learns from the episodes of an iteration. True in a class
-            that overrides ``step``, unless the class says otherwise.
+            that overrides ``step``, unless the class declares it.
     """
 
     learns_from_data: ClassVar[bool] = False
@@ -36,14 +36,14 @@ class Baseline(nn.Module, ABC):
         settle(cls, "learns_from_data", True, ["step"])
 
     def bind(self, env: EnvBase) -> None:
-        """Learn for which environment and how many trials it is; called before training."""
+        """Allocate for the environment and its number of trials; called before training."""
 
     @abstractmethod
     def forward(self, episodes: Episodes) -> Tensor | float:
         """b_t of every frame [frames], without gradient, or one number for all."""
 
     def loss(self, episodes: Episodes) -> Tensor | None:
-        """What the baseline's own parameters minimise [trials]; None if it has none."""
+        """The loss of the baseline's own parameters [trials]; None if it has none."""
         return None
 
     def step(self, episodes: Episodes) -> None:
@@ -74,8 +74,8 @@ class Constant(Baseline):
 class EpisodeMean(Baseline):
     """b_t = mean of G_j over the frames j of the same episode.
 
-    Biased: the mean contains G_t itself, and rewards that a_t led to. What it takes from the
-    gradient does not have mean 0.
+    Biased: the mean contains G_t itself and rewards that depend on a_t, so the subtracted term
+    does not have mean 0.
 
     Example:
         >>> import torch
@@ -93,5 +93,5 @@ class EpisodeMean(Baseline):
 
 
 def as_baseline(value: Baseline | float) -> Baseline:
-    """A baseline from a number, or as it is."""
+    """A number as a ``Constant``; a baseline unchanged."""
     return value if isinstance(value, Baseline) else Constant(value)

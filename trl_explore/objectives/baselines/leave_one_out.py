@@ -11,8 +11,8 @@ from trl_explore.objectives.episodes import Episodes
 class LeaveOneOut(Baseline):
     """b_t = mean of G_t over the other episodes of the trial in the same iteration, at step t.
 
-    An episode that is over before t counts with G_t = 0. Unbiased: the other episodes are
-    independent of the action (Kool, van Hoof & Welling 2019, "Buy 4 REINFORCE samples, get a
+    An episode that ends before t counts as G_t = 0. Unbiased: the other episodes are independent of
+    the action (Kool, van Hoof & Welling 2019, "Buy 4 REINFORCE samples, get a
     baseline for free!", eq. 8, here for every step). Needs at least two episodes per update.
 
     Raises:
@@ -33,9 +33,7 @@ class LeaveOneOut(Baseline):
             return episodes.reward
         count = episodes.episodes_of_trial[episodes.trial]
         if bool((count < 2).any()):
-            raise ValueError(
-                "the baseline leave_one_out needs episodes_per_update of at least 2, got 1"
-            )
+            raise ValueError("baseline leave_one_out needs episodes_per_update >= 2, got 1")
         steps = int(episodes.step.max()) + 1
         returns = episodes.returns
         grid = returns.new_zeros(len(episodes.owner), steps)

@@ -13,16 +13,16 @@ from trl_explore.objectives.episodes import Episodes
 
 
 class LinearValue(Baseline):
-    """b_t = V(s_t) = w · s_t + c, one (w, c) for each trial, trained beside the actor.
+    """b_t = V(s_t) = w · s_t + c, one (w, c) per trial, trained together with the actor.
 
-    Minimises (1 / n_k) Σ_t (V(s_t) − G_t)² over the n_k frames of trial k, by the optimiser of
-    the policy at a learning rate of its own ("REINFORCE with baseline", Sutton & Barto, §13.4).
-    Unbiased: V depends on the state and on earlier episodes only. Off-policy, V estimates the
-    value of μ.
+    Minimises (1 / n_k) Σ_t (V(s_t) − G_t)² over the n_k frames of trial k, with the policy's
+    optimiser and a separate learning rate ("REINFORCE with baseline", Sutton & Barto, §13.4).
+    Unbiased: V depends only on the state and on earlier episodes. Off-policy, V estimates the value
+    of μ.
 
     Args:
-        lr: the learning rate of the critic, > 0. Returns are large numbers, and Adam moves each
-            weight by about ``lr`` per update.
+        lr: the learning rate of the critic, > 0. It is large because returns are large numbers and
+            Adam moves each weight by about ``lr`` per update.
 
     Raises:
         ValueError: if ``lr`` is not a positive number.
@@ -42,7 +42,7 @@ class LinearValue(Baseline):
         self.bias = nn.Parameter(torch.zeros(0, 1))
 
     def bind(self, env: EnvBase) -> None:
-        """Make the parameters, all 0."""
+        """Create the parameters, all 0."""
         (trials,) = env.batch_size
         n_features = env.observation_spec["observation"].shape[-1]
         self.weight = nn.Parameter(torch.zeros(trials, 1, n_features))

@@ -1,4 +1,4 @@
-"""The running mean of earlier episodes, step by step."""
+"""The running mean of the returns of earlier episodes at each step."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from trl_explore.objectives.episodes import Episodes
 class StepMean(Baseline):
     """b_t = mean of G_t over earlier episodes of the same trial that reached step t.
 
-    Unbiased: it depends on earlier episodes only (Greensmith, Bartlett & Baxter 2004, §3, for
+    Unbiased: it depends only on earlier episodes (Greensmith, Bartlett & Baxter 2004, §3, for
     baselines in general). At a step that no earlier episode has reached, b_t = 0.
 
     Args:
-        decay: λ in [0, 1]: an episode that is j episodes back counts λ^j; 1 is the plain mean,
-            less than 1 forgets what the policy did when it was worse.
+        decay: λ in [0, 1]; an episode j episodes ago has weight λ^j. 1 gives the plain mean; less
+            than 1 forgets the episodes of earlier, worse policies.
 
     Raises:
         ValueError: if ``decay`` is not in [0, 1].
@@ -50,7 +50,7 @@ class StepMean(Baseline):
         return mean.to(episodes.reward.dtype)
 
     def step(self, episodes: Episodes) -> None:
-        """Enter the episodes of an iteration, in their order."""
+        """Add the episodes of an iteration, in order."""
         if not len(episodes):
             return
         self._reserve(episodes)
@@ -65,7 +65,7 @@ class StepMean(Baseline):
             self.count[place] += 1
 
     def _reserve(self, episodes: Episodes) -> None:
-        """Make room for more trials or longer episodes."""
+        """Grow the arrays for more trials or longer episodes."""
         trials, steps = self.total.shape
         longest = int(episodes.step.max()) + 1
         if episodes.trials > trials or longest > steps:
@@ -76,16 +76,16 @@ class StepMean(Baseline):
                 setattr(self, name, new)
 
     def get_extra_state(self) -> dict[str, Any]:
-        """What has been learned."""
+        """The state for ``state_dict``: the weighted sums and counts."""
         return {"total": self.total.clone(), "count": self.count.clone()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore what ``get_extra_state`` gave."""
+        """Restore the state from ``get_extra_state``."""
         self.total, self.count = state["total"].clone(), state["count"].clone()
 
 
 def _rank(owner: Tensor) -> Tensor:
-    """The number of every episode among those of its trial [episodes]."""
+    """The index of every episode within its trial [episodes]."""
     first = torch.ones_like(owner, dtype=torch.bool)
     first[1:] = owner[1:] != owner[:-1]
     place = torch.arange(len(owner))

@@ -1,4 +1,4 @@
-"""Off-policy corrections: what a gradient of π may make of data that came from μ."""
+"""Off-policy corrections: policy gradients from data collected with μ."""
 
 from trl_explore.objectives.corrections.behaviour import Behaviour, BehaviourActor
 from trl_explore.objectives.corrections.correction import (

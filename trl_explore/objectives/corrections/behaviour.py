@@ -1,4 +1,4 @@
-"""The gradient of the behaviour policy itself."""
+"""The gradient of the behaviour policy μ."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from trl_explore.strategies import BaseStrategy, ContinuousStrategy, Strategy
 
 
 class Behaviour(NoCorrection):
-    """A_t = G_t − b_t, and ∇log μ(a_t|s_t) in the place of ∇log π(a_t|s_t).
+    """A_t = G_t − b_t, and ∇log μ(a_t|s_t) in place of ∇log π(a_t|s_t).
 
-    The agent is then μ, and the gradient that of μ's own return: on-policy, and unbiased (at
-    γ = 1, or with the factor γ^t), with no ratio and its variance. It exists where μ depends
-    differentiably on the logits: softmax at a temperature, and mixtures of it with the uniform
-    corner (ε-softmax); not with a share of argmax, whose probabilities are piecewise constant.
-    Where μ does not follow the policy at all (uniform, or ε = 1 in an iteration) it is 0. An
-    entropy bonus in the loss is then that of μ, too.
+    The agent is then μ, and the gradient is that of μ's own return: on-policy, unbiased (at γ = 1,
+    or with the factor γ^t), and without a ratio and its variance. It exists if μ is differentiable
+    in the logits: softmax at a temperature, and its mixtures with uniform (ε-softmax). It does not
+    exist with a share of argmax, whose probabilities are piecewise constant. If μ does not depend
+    on the policy (uniform, or ε = 1 in an iteration), the gradient is 0. An entropy bonus in the
+    loss is then also that of μ.
 
     Example:
         >>> from trl_explore.strategies import Argmax
@@ -34,7 +34,7 @@ class Behaviour(NoCorrection):
     def actor(
         self, actor: ProbabilisticActor, strategy: BaseStrategy | None = None
     ) -> ProbabilisticActor:
-        """μ, as a function of the parameters of π."""
+        """μ as a function of the parameters of π."""
         if strategy is None or not strategy.differentiable:
             name = "no strategy" if strategy is None else type(strategy).__name__
             raise ValueError(
@@ -52,7 +52,7 @@ class BehaviourActor(ProbabilisticActor):
 
     Args:
         actor: the target policy, whose first module writes "logits".
-        strategy: states μ for logits; shared with the collector, so that both are in the same
+        strategy: gives μ for the logits; shared with the collector, so both are in the same
             iteration of their schedules.
     """
 
@@ -66,11 +66,11 @@ class BehaviourActor(ProbabilisticActor):
 
 
 class ContinuousBehaviourActor(ProbabilisticActor):
-    """The density of μ(·|s) over continuous actions, whose parameters are those of the target.
+    """The density of μ(·|s) over continuous actions, with the parameters of the target policy.
 
     Args:
         actor: the target policy, whose first module writes "loc" and "scale".
-        strategy: states log μ for them; shared with the collector.
+        strategy: gives log μ for them; shared with the collector.
     """
 
     def __init__(self, actor: ProbabilisticActor, strategy: ContinuousStrategy) -> None:
@@ -83,7 +83,7 @@ class ContinuousBehaviourActor(ProbabilisticActor):
 
 
 class _Density(Distribution):
-    """What a continuous strategy says of its density."""
+    """The density of a continuous strategy as a torch distribution."""
 
     def __init__(
         self, loc: Tensor, scale: Tensor, trial: Tensor, strategy: ContinuousStrategy
@@ -98,13 +98,13 @@ class _Density(Distribution):
 
     def entropy(self) -> Tensor:
         raise ValueError(
-            f"the entropy of {type(self.strategy).__name__} has no formula; "
-            "correction=behaviour needs entropy_coeff=0 here"
+            f"correction=behaviour needs entropy_coeff=0 with {type(self.strategy).__name__}: "
+            "its entropy has no closed form"
         )
 
 
 class _Probs(TensorDictModuleBase):
-    """Writes "probs" [*batch, n_actions], μ for the "logits"."""
+    """Writes "probs" [*batch, n_actions]: μ for "logits"."""
 
     def __init__(self, strategy: Strategy) -> None:
         super().__init__()
@@ -121,7 +121,7 @@ class _Probs(TensorDictModuleBase):
 
 
 def _connected(found: Tensor, source: Tensor) -> Tensor:
-    """``found``; its gradient is 0, and not missing, where it does not depend on ``source``."""
+    """``found``, with gradient 0 instead of none if it does not depend on ``source``."""
     if found.requires_grad or not source.requires_grad:
         return found
     return found + 0 * source.masked_fill(source == -torch.inf, 0)

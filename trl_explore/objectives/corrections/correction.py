@@ -1,4 +1,4 @@
-"""The advantage as the data gave it, and what the corrections share."""
+"""The uncorrected advantage, and the base class of importance weights."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from trl_explore.strategies import BaseStrategy
 
 
 class NoCorrection:
-    """A_t = G_t − b_t: the data are taken as if they came from π (the thesis).
+    """A_t = G_t − b_t: the data are treated as if they came from π (the thesis).
 
-    The gradient Σ_t A_t ∇log π(a_t|s_t) is unbiased only where μ = π. Under ε-greedy, argmax or a
-    temperature other than 1, it follows neither the gradient of π's return nor of μ's.
+    The gradient Σ_t A_t ∇log π(a_t|s_t) is unbiased only if μ = π. Under ε-greedy, argmax or a
+    temperature other than 1, it is the gradient of neither π's return nor μ's.
 
     Example:
         >>> NoCorrection().needs_log_prob
@@ -27,10 +27,10 @@ class NoCorrection:
     """
 
     needs_log_prob: ClassVar[bool] = False
-    """Whether it needs log μ(a|s), in "action_log_prob"."""
+    """Whether the correction needs log μ(a|s), in "action_log_prob"."""
     leaves_returns: ClassVar[bool] = True
-    """Whether ``advantage`` is G_t − b_t and no more. False in a class that overrides it, unless
-    the class says otherwise."""
+    """Whether ``advantage`` is exactly G_t − b_t. False in a class that overrides it, unless the
+    class declares it."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -39,14 +39,14 @@ class NoCorrection:
     def actor(
         self, actor: ProbabilisticActor, strategy: BaseStrategy | None = None
     ) -> ProbabilisticActor:
-        """The distribution whose score function the loss takes: π, or what stands in its place.
+        """The distribution whose score function the loss uses: π, or its replacement.
 
         Args:
             actor: π.
-            strategy: what the data will be collected with.
+            strategy: the strategy that collects the data.
 
         Raises:
-            ValueError: if the correction does not exist for this strategy.
+            ValueError: if the correction does not support this strategy.
         """
         return actor
 
@@ -58,7 +58,7 @@ class NoCorrection:
         Args:
             episodes: the data.
             baseline: b_t [frames], or one number.
-            log_ratio: log π(a_t|s_t) − log μ(a_t|s_t) [frames]; None where it is not needed.
+            log_ratio: log π(a_t|s_t) − log μ(a_t|s_t) [frames]; None if not needed.
         """
         if isinstance(baseline, float) and baseline == 0:
             return episodes.returns
@@ -66,15 +66,15 @@ class NoCorrection:
 
 
 class ImportanceWeights(NoCorrection):
-    """What the importance weights share: clipping, normalisation, and their demand on μ.
+    """The base class of importance weights: clipping, normalisation, and the requirements on μ.
 
-    Weights need the exact μ(a|s) of every frame, and μ(a|s) > 0 wherever π(a|s) > 0. A strategy
-    that never takes some action, as argmax does, fulfils the first and not the second: what the
-    data do not contain, no weight can bring back, and the estimate stays biased.
+    The weights need the exact μ(a|s) of every frame, and μ(a|s) > 0 wherever π(a|s) > 0. A strategy
+    that never takes some actions, such as argmax, meets the first requirement but not the second:
+    weights cannot correct for actions missing from the data, so the estimate remains biased.
 
     Args:
-        clip: weights w are replaced by min(w, clip) (Ionides 2008): less variance, biased;
-            None: not at all.
+        clip: replaces weights w by min(w, clip) (Ionides 2008): less variance, biased; None: no
+            clipping.
         self_normalize: whether weights are divided by their mean over the trial's data of the
             iteration (Hesterberg 1995; Precup, Sutton & Singh 2000): less variance, biased, but
             consistent in the number of episodes.
@@ -92,35 +92,35 @@ class ImportanceWeights(NoCorrection):
     def actor(
         self, actor: ProbabilisticActor, strategy: BaseStrategy | None = None
     ) -> ProbabilisticActor:
-        """π, if the strategy states its exact probabilities."""
+        """π, if the strategy has exact probabilities."""
         if strategy is not None and not strategy.exact:
             raise ValueError(
-                f"{type(self).__name__} needs the exact probability of every action, which does "
-                f"not exist for {type(strategy).__name__}; correction=none goes with any strategy"
+                f"{type(self).__name__} needs exact action probabilities, which "
+                f"{type(strategy).__name__} does not have; correction=none works with any strategy"
             )
         return actor
 
     def _clipped(self, log_weight: Tensor) -> Tensor:
-        """Log min(w, clip), of log w."""
+        """Log min(w, clip), from log w."""
         return log_weight if self.clip is None else log_weight.clamp(max=math.log(self.clip))
 
 
 def shares(log_weight: Tensor, group: Tensor, groups: int) -> Tensor:
     """The weights divided by their mean over a group: w_i / mean{w_j: group_j = group_i} [n].
 
-    Weights of long episodes are too small for a number; their quotients are not, and only those
-    are formed. Where all weights of a group are 0, so are the quotients.
+    Weights of long episodes underflow, but their quotients do not, so only quotients are computed.
+    If all weights of a group are 0, the quotients are 0.
 
     Args:
         log_weight: log w [n].
         group: [n] int64 in [0, groups).
-        groups: their number.
+        groups: the number of groups.
 
     Example:
         >>> shares(torch.tensor([-3000.0, -3000.0]), torch.tensor([0, 0]), 1)
         tensor([1., 1.])
     """
-    lowest = torch.finfo(log_weight.dtype).min  # in the place of −∞, for differences
+    lowest = torch.finfo(log_weight.dtype).min  # instead of −∞, so that differences are defined
     largest = log_weight.new_full((groups,), lowest)
     largest = largest.scatter_reduce(0, group, log_weight, "amax")
     weight = (log_weight - largest[group]).exp()
@@ -130,7 +130,7 @@ def shares(log_weight: Tensor, group: Tensor, groups: int) -> Tensor:
 
 
 def log_ratio_of(log_prob: Tensor, behaviour: Tensor) -> Tensor:
-    """Log π − log μ of every frame [frames], in double: long products of ratios are formed of it.
+    """Log π − log μ of every frame [frames], in double, because products of ratios are long.
 
     Raises:
         ValueError: if an action in the data has probability 0 under μ.

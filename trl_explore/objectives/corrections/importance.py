@@ -1,4 +1,4 @@
-"""The ratio of every single action."""
+"""Importance weights: per step, per decision, and per trajectory."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from trl_explore.objectives.episodes import Episodes
 class PerStep(ImportanceWeights):
     """A_t = ρ_t · (G_t − b_t), with ρ_t = π(a_t|s_t) / μ(a_t|s_t).
 
-    Corrects which action was taken in s_t. What it leaves as it is: the states, which are those
-    that μ visits, and the rewards after a_t, which are those of μ. So the expected gradient is
-    Σ_s d_μ(s) Σ_a ∇π(a|s) Q_μ(s, a) (Degris, White & Sutton 2012, "Off-policy actor-critic",
-    eq. 5, with Q_μ in the place of Q_π). It points uphill for π wherever Q_μ and Q_π order the
-    actions alike. Exactly unbiased where μ = π, and for episodes of one step.
+    Corrects the action taken in s_t, but not the state distribution or the rewards after a_t, which
+    are those of μ. So the expected gradient is Σ_s d_μ(s) Σ_a ∇π(a|s) Q_μ(s, a) (Degris, White &
+    Sutton 2012, "Off-policy actor-critic", eq. 5, with Q_μ in place of Q_π). It is an ascent
+    direction for π if Q_μ and Q_π rank the actions alike. Exactly unbiased if μ = π, and for
+    episodes of one step.
 
-    With ``self_normalize`` ρ_t is divided by its mean over the trial's frames.
+    With ``self_normalize``, ρ_t is divided by its mean over the trial's frames.
     Arguments are those of ``ImportanceWeights``.
 
     Example:
@@ -43,13 +43,13 @@ class PerStep(ImportanceWeights):
 class PerDecision(ImportanceWeights):
     """A_t = Σ_{j ≥ t} γ^{j−t} C_j r_j − C_t b_t, with C_j = Π_{k ≤ j} π(a_k|s_k) / μ(a_k|s_k).
 
-    A reward is weighted with the actions that led to it, not with those that came after, whose
-    ratios have mean 1. Unbiased exactly where ``Trajectory`` is, with less variance (Precup,
-    Sutton & Singh 2000, §3).
+    Each reward is weighted by the ratios of the actions before it, not of those after it, whose
+    ratios have mean 1. Unbiased under the same conditions as ``Trajectory``, with less variance
+    (Precup, Sutton & Singh 2000, §3).
 
-    With ``self_normalize`` C_j is divided by its mean over the trial's episodes of the iteration
-    at the same step, where an episode that is over counts with its last C; with one episode per
-    update C is then 1, and nothing is corrected. ``clip`` bounds C.
+    With ``self_normalize``, C_j is divided by its mean over the trial's episodes of the iteration
+    at the same step, where an ended episode counts with its last C. With one episode per update, C
+    is then 1 and nothing is corrected. ``clip`` bounds C.
     Arguments are those of ``ImportanceWeights``.
 
     Example:
@@ -70,10 +70,10 @@ class PerDecision(ImportanceWeights):
 
 
 def _shares_at_step(episodes: Episodes, log_weight: Tensor) -> Tensor:
-    """C divided by its mean at every frame's step over the episodes of its trial [frames]."""
+    """C divided by its mean over the trial's episodes at the frame's step [frames]."""
     steps = int(episodes.step.max()) + 1
     last = log_weight[episodes.ends].unsqueeze(1)
-    grid = last.repeat(1, steps)  # what an episode counts with when it is over
+    grid = last.repeat(1, steps)  # an ended episode keeps its last value
     grid[episodes.index, episodes.step] = log_weight
     group = episodes.owner.unsqueeze(1) * steps + torch.arange(steps, device=grid.device)
     found = shares(grid.reshape(-1), group.reshape(-1), episodes.trials * steps)
@@ -84,13 +84,13 @@ class Trajectory(ImportanceWeights):
     """A_t = W · (G_t − b_t), with W = Π_j π(a_j|s_j) / μ(a_j|s_j) over the whole episode.
 
     Unbiased for the gradient of π's return (at γ = 1, or with the factor γ^t) for every strategy
-    with μ > 0 wherever π > 0: ε-greedy, softmax at any temperature, and any mixture with a share
-    of the uniform or softmax corner; not for argmax (Precup, Sutton & Singh 2000, "Eligibility
-    traces for off-policy policy evaluation", §2; Sutton & Barto, §5.5). Its variance grows
-    exponentially with the length of the episode.
+    with μ > 0 wherever π > 0: ε-greedy, softmax at any temperature, and any mixture with a share of
+    uniform or softmax; not for argmax (Precup, Sutton & Singh 2000, "Eligibility traces for
+    off-policy policy evaluation", §2; Sutton & Barto, §5.5). The variance grows exponentially with
+    the length of the episode.
 
-    With ``self_normalize`` W is divided by its mean over the trial's episodes of the iteration;
-    with one episode per update W is then 1, and nothing is corrected. ``clip`` bounds W.
+    With ``self_normalize``, W is divided by its mean over the trial's episodes of the iteration.
+    With one episode per update, W is then 1 and nothing is corrected. ``clip`` bounds W.
     Arguments are those of ``ImportanceWeights``.
 
     Example:
