@@ -207,5 +207,5 @@ def test_a_frame_is_the_same_wherever_it_stands(dtype):
 
 
 def test_gaussian_shapes_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match=r"scale is \[2\], but the frames are \[3, 2\]"):
+    with pytest.raises(ValueError, match=r"scale.*\[2\].*frames.* \[3, 2\]"):
         gaussian_log_prob(torch.zeros(3, 2), torch.zeros(3, 2), torch.ones(2))

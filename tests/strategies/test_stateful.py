@@ -1,6 +1,7 @@
 """Strategies that remember: within an episode, or from iteration to iteration."""
 
 import logging
+import re
 
 import numpy as np
 import pytest
@@ -103,14 +104,15 @@ def test_the_fused_collector_serves(kind, caplog):
 @pytest.mark.parametrize(
     ("kind", "reason"),
     [
-        (EpsilonZGreedy, "EpsilonZGreedy is not a mixture of argmax, softmax and uniform"),
-        (CountBonus, "CountBonus changes the logits, and not by the parameters"),
+        (EpsilonZGreedy, "EpsilonZGreedy.*mixture of argmax, softmax and uniform"),
+        (CountBonus, "CountBonus.*preferences.*compilable"),
     ],
 )
 def test_the_fused_collector_refuses_with_the_reason(kind, reason, caplog):
     with caplog.at_level(logging.INFO):
         assert isinstance(collector(auto_collector, kind()), TorchRLCollector)
-    assert caplog.messages == [f"collector: torchrl (the fused one cannot serve: {reason})"]
+    (message,) = caplog.messages
+    assert re.match(f"collector: torchrl .*{reason}", message)
 
 
 def test_several_episodes_at_once_cannot_each_be_begun():

@@ -1,4 +1,4 @@
-"""Collectors: whole episodes of every active trial, parameters fixed."""
+"""Collectors: whole episodes of every active trial, with fixed parameters."""
 
 from trl_explore.collectors.auto import auto_collector
 from trl_explore.collectors.collector import EpisodeCollector, Rollout

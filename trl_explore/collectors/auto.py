@@ -1,4 +1,4 @@
-"""The fused collector where it serves, the TorchRL collector elsewhere."""
+"""The fused collector where it applies, and the TorchRL collector elsewhere."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def auto_collector(
     announce: bool = True,
     **options: Any,
 ) -> EpisodeCollector:
-    """The fastest collector that can serve; one log line says which, and why not the fused one.
+    """The fastest collector that applies; one log line names it, and says why it is not fused.
 
     Args:
-        env: an environment of ``envs.make_env``.
+        env: an environment made by ``envs.make_env``.
         policy: ``TensorDictSequential(policy, strategy)``.
 
     Keyword Args:
-        announce: whether to write the line.
+        announce: whether to write the log line.
         options: the arguments of ``EpisodeCollector``.
     """
     try:
@@ -37,7 +37,7 @@ def auto_collector(
         line = "collector: fused"
     except NotCompilableError as error:
         collector = TorchRLCollector(env, policy, **options)
-        line = f"collector: torchrl (the fused one cannot serve: {error})"
+        line = f"collector: torchrl (the fused collector does not apply: {error})"
     if announce:
         logger.info(line)
     return collector

@@ -1,4 +1,4 @@
-"""The contract of every collector: whole episodes, one per active trial."""
+"""The contract of every collector: whole episodes of every active trial."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from trl_explore.strategies import BaseStrategy
 
 
 class Rollout(NamedTuple):
-    """The episodes that one call of a collector gives.
+    """The episodes that one call of a collector returns.
 
     Attributes:
-        frames: all frames, flat [frames]; the entries are those of ``EpisodeCollector``.
-        score: the undiscounted return of every episode [active], trials ascending, or [active, k]
-            where every trial has k > 1 episodes.
-        length: its number of frames, in the same shape.
+        frames: all frames, flat [frames]; see ``EpisodeCollector`` for the entries.
+        score: the undiscounted return of every episode [active], in ascending order of trials;
+            [active, k] if every trial has k > 1 episodes.
+        length: the number of frames of every episode, in the same shape.
     """
 
     frames: TensorDictBase
@@ -37,37 +37,37 @@ class Rollout(NamedTuple):
 
 
 class EpisodeCollector(BaseCollector):
-    """A TorchRL collector that yields whole episodes of every active trial, as a rule one of each.
+    """A TorchRL collector that yields whole episodes of every active trial: one each by default.
 
-    Every frame is taken with the parameters that the trial had when the episode began. No frame
-    is lost, none is stale, none comes from a stopped trial, none is padding. The data are flat
-    [frames]: trials in ascending order, the frames of a trial contiguous and in order of time,
-    each episode ended by ("next", "done"). The entries:
+    All frames of a trial are taken with the parameters that it had when the call began. No frame is
+    lost or stale, none comes from a stopped trial, and none is padding. The data are flat [frames]:
+    trials in ascending order, the frames of a trial contiguous and in order of time, each
+    episode ended by ("next", "done"). The entries:
 
         trial              [frames]               int64, the row of the policy's parameters
         observation        [frames, n_features]   the policy's input
         action             [frames]               int64; [frames, n_dims] where continuous
-        action_log_prob    [frames]               nats, under μ, where that exists exactly
+        action_log_prob    [frames]               nats, under μ, if known exactly
         next.reward        [frames, 1]            float32
         next.done, next.terminated, next.truncated  [frames, 1]  bool
         next.step_count    [frames, 1]            int64, from 1
         next.episode_reward [frames, 1]           float32, the sum so far; the score at done
 
-    and "action_mask" where the environment has one. As under TorchRL's ``compact_obs``, the next
+    and "action_mask" if the environment has one. As with TorchRL's ``compact_obs``, the next
     observation is not stored twice.
 
     Args:
-        env: an environment of ``envs.make_env``; its lanes are the trials.
+        env: an environment made by ``envs.make_env``; its lanes are the trials.
         policy: ``TensorDictSequential(policy, strategy)``.
 
     Keyword Args:
-        exploration_type: RANDOM or None explores; the others take the argmax, or the mean.
-        total_frames: iteration ends when this many frames have been delivered; −1: never.
-        episodes_per_update: how many episodes of every active trial one call collects.
+        exploration_type: RANDOM or None explores; any other takes the argmax, or the mean.
+        total_frames: iteration ends after this many frames; −1: never.
+        episodes_per_update: the number of episodes of every active trial per call.
 
     Raises:
-        ValueError: if an argument is out of range, or the strategy does not draw actions of the
-            environment's kind.
+        ValueError: if an argument is out of range, or the strategy does not support the
+            environment's kind of actions.
 
     Example:
         >>> from tensordict.nn import TensorDictSequential
@@ -84,7 +84,7 @@ class EpisodeCollector(BaseCollector):
     """
 
     parallel: ClassVar[bool] = False
-    """Whether collectors of several threads run at the same time."""
+    """Whether collectors in several threads run at the same time."""
 
     def __init__(
         self,
@@ -122,14 +122,14 @@ class EpisodeCollector(BaseCollector):
         """The next ``episodes_per_update`` whole episodes of every active trial.
 
         Args:
-            active: [trials] bool, the trials to collect; None takes all.
+            active: [trials] bool, the trials to collect; None means all.
 
         Returns:
-            The frames and the outcome of each episode; the frames are valid until the next call,
+            The frames and the outcome of each episode. The frames are valid until the next call,
             which may reuse their memory.
 
         Raises:
-            ValueError: if ``active`` has the wrong shape or is nowhere true.
+            ValueError: if ``active`` has the wrong shape or no true entry.
             RuntimeError: if the collector has been shut down.
         """
         if self.closed:
@@ -139,7 +139,7 @@ class EpisodeCollector(BaseCollector):
         active = np.asarray(active, dtype=np.bool_)
         if active.shape != (self.trials,) or not active.any():
             raise ValueError(
-                f"active must be a bool array [{self.trials}] with a true entry, got {active!r}"
+                f"active must be bool [{self.trials}] with at least one true entry, got {active!r}"
             )
         frames, score, length = self._collect(active)
         self.episodes += active * self.episodes_per_update
@@ -151,27 +151,25 @@ class EpisodeCollector(BaseCollector):
 
     @abstractmethod
     def _collect(self, active: NDArray[np.bool_]) -> Rollout:
-        """The episodes from ``self.episodes[k]`` on of every active trial k, outcomes flat."""
+        """The episodes of every active trial k, from ``self.episodes[k]`` on; flat outcomes."""
 
     def iterator(self) -> Iterator[TensorDictBase]:
-        """Frames in memory of their own, until ``total_frames`` is reached, or for ever."""
+        """Yield copies of the frames until ``total_frames`` is reached, or forever."""
         while self.total_frames < 0 or self.frames < self.total_frames:
             yield self.collect().frames.clone()
 
     def __len__(self) -> int:
-        raise TypeError(
-            "the number of frames of an episode, and so of batches, is not known before"
-        )
+        raise TypeError("a collector has no length: episodes differ in their number of frames")
 
     def set_seed(self, seed: int, static_seed: bool = False) -> int:
-        """Start again at episode 0 of every trial under ``seed``; returns the next seed to use."""
+        """Restart every trial at episode 0 with ``seed``; returns the next seed to use."""
         self.lanes.reseed(seed)
         self.episodes[:] = 0
         self.frames = 0
         return seed if static_seed else seed + 1
 
     def state_dict(self) -> OrderedDict[str, Any]:
-        """What decides the next episodes: policy, strategy, seed and episode counters."""
+        """Everything that determines the next episodes: policy, strategy, seed and counters."""
         return OrderedDict(
             policy_state_dict=self.policy.state_dict(),
             seed=self.lanes.seed,
@@ -180,7 +178,7 @@ class EpisodeCollector(BaseCollector):
         )
 
     def load_state_dict(self, state_dict: OrderedDict[str, Any]) -> None:
-        """Go on where ``state_dict`` was taken."""
+        """Restore a ``state_dict``."""
         self.policy.load_state_dict(state_dict["policy_state_dict"])
         self.lanes.reseed(state_dict["seed"])
         self.episodes[:] = state_dict["episodes"].numpy()
@@ -200,10 +198,10 @@ class EpisodeCollector(BaseCollector):
 
 
 def _strategy_of(policy: TensorDictSequential) -> BaseStrategy:
-    """The strategy at the end of the policy.
+    """The strategy, which is the last module of the policy.
 
     Raises:
-        ValueError: if there is none.
+        ValueError: if the last module is not a strategy.
     """
     strategy = policy[-1]
     if not isinstance(strategy, BaseStrategy):

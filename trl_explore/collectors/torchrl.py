@@ -1,4 +1,4 @@
-"""The collector that runs TorchRL's environment, transforms, policy and strategy as they are."""
+"""The reference collector: it runs environment, transforms, policy and strategy unchanged."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trl_explore.collectors.collector import EpisodeCollector, Rollout
 from trl_explore.numerics.streams import Stream, generator
 
 NOISE_STEPS = 128
-"""How many steps of action noise are drawn at a time."""
+"""The number of steps for which action noise is drawn at a time."""
 
 KEYS = ("trial", "observation", "action", "action_log_prob", "action_mask")
 SIGNALS = ("reward", "done", "terminated", "truncated")
@@ -25,10 +25,10 @@ NEXT_KEYS = (*SIGNALS, "step_count", "episode_reward")
 
 
 class TorchRLCollector(EpisodeCollector):
-    """Steps any gymnasium environment, with any strategy and any policy; the definition of right.
+    """Steps any gymnasium environment with any strategy and policy; the reference implementation.
 
-    All lanes share one TorchRL step; a lane that has finished its episode is not stepped by the
-    environment, and its rows are dropped. Arguments and data are those of ``EpisodeCollector``.
+    All lanes share one TorchRL step. The environment does not step a lane that has finished its
+    episode, and the rows of that lane are dropped. Arguments and data: see ``EpisodeCollector``.
     """
 
     def _collect(self, active: NDArray[np.bool_]) -> Rollout:
@@ -54,7 +54,7 @@ class TorchRLCollector(EpisodeCollector):
         with set_exploration_type(self.exploration_type):
             td = self.env.reset(reset)
             lanes.running[~active] = False
-            if lanes.has_masks:  # TorchRL fills the rows that are not reset with zeros
+            if lanes.has_masks:  # TorchRL fills rows that are not reset with zeros
                 td.get("action_mask")[~torch.from_numpy(active)] = True
             while lanes.running.any():
                 td.set("trial", trial)
@@ -74,11 +74,11 @@ class TorchRLCollector(EpisodeCollector):
         return Rollout(data[torch.from_numpy(mask)], score, length)
 
     def _next(self, td: TensorDictBase) -> TensorDictBase:
-        """What ``env.step`` writes to "next".
+        """The "next" entry that ``env.step`` writes.
 
-        Three quarters of the time of ``env.step`` goes into what does not change from step to step:
-        partial steps, the completion of done entries, copies for inverse transforms. Where no
-        transform has an inverse, the base environment and the transforms are called themselves.
+        ``env.step`` spends three quarters of its time on work that is the same at every step:
+        partial steps, completion of done entries, copies for inverse transforms. If no transform
+        has an inverse, this calls the base environment and the transforms directly.
         """
         if self._has_inverse:
             return self.env.step(td).get("next")
@@ -109,7 +109,7 @@ class TorchRLCollector(EpisodeCollector):
 
 
 class _Noise:
-    """The action noise u of the lanes, step by step, from the trials' own streams."""
+    """The action noise u of the lanes, step by step; each trial has its own stream."""
 
     def __init__(
         self, collector: EpisodeCollector, lanes: NDArray[np.int64], episodes: NDArray[np.int64]
@@ -125,7 +125,7 @@ class _Noise:
         self.t = 0
 
     def step(self, running: NDArray[np.bool_]) -> torch.Tensor:
-        """The noise of the next step [trials], or [trials, noise_size]."""
+        """The noise for the next step [trials], or [trials, noise_size]."""
         row = self.t % NOISE_STEPS
         if row == 0:
             block = self.block.numpy()

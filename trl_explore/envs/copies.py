@@ -1,7 +1,7 @@
-"""Copies of an environment, in this process or divided among several.
+"""Copies of an environment, in this process or distributed over several.
 
-Processes are for environments whose step takes long. Threads would not do: Box2D holds the lock of
-the interpreter while it steps.
+Processes are for environments with slow steps. Threads would not help: Box2D holds the
+interpreter lock (GIL) while it steps.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Signals:
-    """What the copies said last.
+    """The last outputs of the copies.
 
     Attributes:
         observation: [n, n_features].
         reward: [n].
         terminated: [n].
         truncated: [n].
-        mask: [n, n_actions], False where an action is not allowed; [n, 0] where there are no masks.
+        mask: [n, n_actions], False where an action is not allowed; [n, 0] if there are no masks.
     """
 
     observation: NDArray[np.float32]
@@ -49,7 +49,7 @@ class Signals:
 
     @classmethod
     def of(cls, n: int, n_features: int, masked: int) -> Signals:
-        """Those of n copies; ``masked`` is the number of actions in a mask."""
+        """Signals of n copies; ``masked`` is the number of actions in a mask, 0 without masks."""
         return cls(
             np.zeros((n, n_features), dtype=np.float32),
             np.zeros(n),
@@ -63,33 +63,33 @@ class Signals:
         return Signals(*(getattr(self, field.name)[::k] for field in fields(self)))
 
     def rows(self, rows: Rows) -> tuple[NDArray[Any], ...]:
-        """The columns of some copies."""
+        """The columns of the copies ``rows``."""
         return tuple(getattr(self, field.name)[rows] for field in fields(self))
 
     def put(self, rows: Rows, columns: tuple[NDArray[Any], ...]) -> None:
-        """Write the columns of some copies."""
+        """Write the columns of the copies ``rows``."""
         for field, column in zip(fields(self), columns, strict=True):
             getattr(self, field.name)[rows] = column
 
     def read_mask(self, row: int, info: dict[str, Any]) -> None:
-        """Take a copy's mask from ``info["action_mask"]``, if the environment gives masks."""
+        """Read a copy's mask from ``info["action_mask"]``, if the environment has masks."""
         if not self.mask.shape[1]:
             return
         mask = np.asarray(info.get("action_mask"), dtype=np.bool_)
         if mask.shape != self.mask.shape[1:]:
             raise ValueError(
-                f"info['action_mask'] must be one value for each of {self.mask.shape[1]} actions, "
-                f"got {info.get('action_mask')!r}"
+                "info['action_mask'] must have one value for each of "
+                f"{self.mask.shape[1]} actions, got {info.get('action_mask')!r}"
             )
         self.mask[row] = mask
 
 
 class Copies:
-    """n copies of an environment, built when they are needed.
+    """n copies of an environment, built on first use.
 
     Args:
         make: the constructor.
-        n: how many.
+        n: the number of copies.
         first: the first copy, if it exists already.
     """
 
@@ -106,7 +106,7 @@ class Copies:
         stream: Stream,
         signals: Signals,
     ) -> None:
-        """Begin an episode in the copies ``rows``, each drawn from its trial's stream [m]."""
+        """Begin an episode in the copies ``rows`` [m], each with its trial's random stream."""
         while len(self.envs) < self.n:
             self.envs.append(self.make())
         for row, trial, episode in zip(
@@ -120,7 +120,7 @@ class Copies:
             signals.read_mask(row, info)
 
     def step(self, rows: Rows, actions: NDArray[Any], signals: Signals) -> None:
-        """Step the copies ``rows``, each by its action [m, ...]."""
+        """Step the copies ``rows`` [m] with their actions [m, ...]."""
         observation, reward = signals.observation, signals.reward
         terminated, truncated = signals.terminated, signals.truncated
         for row, action in zip(rows.tolist(), actions, strict=True):
@@ -142,19 +142,19 @@ BOOT = (
 
 
 class ProcessCopies(Copies):
-    """``Copies`` divided among this process and others; the signals are the same.
+    """``Copies`` distributed over this process and others; the signals are the same.
 
-    Copy ``row`` lives in process ``row % workers``, number 0 being this one: the copies that still
-    run are then spread evenly when some have stopped. Each copy draws from streams of its own, so
-    that nothing depends on where it is stepped.
+    Copy ``row`` is in process ``row % workers``, where 0 is this process, so that the load stays
+    even when some copies have stopped. Each trial has its own random streams, so results do not
+    depend on the process.
 
     Args:
-        id: gymnasium id; what is registered under it is made known to the other processes.
+        id: gymnasium id; its registration is copied to the other processes.
         make: the constructor; it is pickled, and called in the processes.
-        n: how many copies.
+        n: the number of copies.
         first: the first copy, if it exists already.
-        workers: how many processes, at most n; they are started when they are needed.
-        sizes: number of features, and of actions in a mask.
+        workers: the number of processes, at most n; they are started on first use.
+        sizes: the number of features, and of actions in a mask.
     """
 
     def __init__(
@@ -196,7 +196,7 @@ class ProcessCopies(Copies):
         same: tuple[Any, ...],
         signals: Signals,
     ) -> None:
-        """Call a method in every process that has some of the rows, and gather the signals."""
+        """Call a method in every process that has some of the rows, and collect the signals."""
         parts = [np.flatnonzero(rows % self.workers == k) for k in range(self.workers)]
         calls = [(rows[part] // self.workers, *(x[part] for x in each), *same) for part in parts]
         try:
@@ -210,14 +210,14 @@ class ProcessCopies(Copies):
         except _FailedError as error:
             self._end()
             raise RuntimeError(
-                f"environment {self.id!r} in a process of its own: {error}"
+                f"environment {self.id!r} failed in a worker process: {error}"
             ) from None
         except BaseException:
-            self._end()  # an answer that is not awaited would be taken for the next one's
+            self._end()  # an unread answer would be taken for that of the next request
             raise
 
     def _start(self) -> None:
-        """Start the processes that are missing; they get ready side by side."""
+        """Start the processes, unless they run; they start up in parallel."""
         if self._processes:
             return
         spec = gym.registry.get(self.id)
@@ -232,22 +232,22 @@ class ProcessCopies(Copies):
         self._processes = []
 
     def close(self) -> None:
-        """Close every copy, and end the processes."""
+        """Close every copy and end the processes."""
         super().close()
         self._end()
 
 
 class _FailedError(Exception):
-    """What went wrong in a process, as one line."""
+    """A failure in a process, as one line."""
 
 
 class _Process:
-    """A Python process that serves requests on its standard input.
+    """A Python process that answers requests on its standard input.
 
-    A fresh interpreter with nothing but gymnasium: a fork would copy torch's locks, and
-    multiprocessing's spawn would import the user's script again. It is in a session of its own, so
-    that Ctrl-C reaches the main process only, and ends when its standard input does, also when
-    the main process is killed.
+    It is a fresh interpreter that loads gymnasium only: a fork would copy torch's locks, and
+    multiprocessing's spawn would import the user's script again. It runs in a separate session, so
+    that Ctrl-C reaches the main process only. It ends when its standard input closes, even if the
+    main process is killed.
     """
 
     def __init__(self, setup: Any) -> None:
@@ -263,7 +263,8 @@ class _Process:
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             self.end()
             raise ValueError(
-                f"the environment cannot be sent to a process ({first_line(error)}); set workers=1"
+                "the environment cannot be pickled for a worker process "
+                f"({first_line(error)}); set workers=1"
             ) from error
 
     def send(self, request: Any) -> None:
@@ -288,11 +289,11 @@ class _Process:
         return answer
 
     def _death(self) -> str:
-        return f"the process has ended, status {self.process.wait()}"
+        return f"the process ended with status {self.process.wait()}"
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Let a process end, and wait for it."""
+    """Close a process's pipes and wait for it; kill it if it takes too long."""
     for pipe in (process.stdin, process.stdout):
         assert pipe is not None
         with suppress(OSError):  # it may have ended before it read everything
@@ -305,9 +306,9 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def serve() -> None:
-    """The main program of a process: requests on standard input, answers on standard output."""
+    """Main program of a worker process: requests on standard input, answers on standard output."""
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what an environment prints must not get among the answers
+    os.dup2(2, 1)  # an environment's output must not mix with the answers
     share = None
     while True:
         try:
@@ -325,13 +326,13 @@ def serve() -> None:
             pickle.dump(reply, answers, protocol=5)
             answers.flush()
         except BrokenPipeError:
-            os._exit(0)  # the main process is gone; nothing is left to be told or flushed
+            os._exit(0)  # the main process is gone: nothing left to answer or flush
     if share is not None:
         share.copies.close()
 
 
 class _Share:
-    """The copies that live in this process."""
+    """The copies in this worker process."""
 
     def __init__(self, spec: EnvSpec | None, make: Make, n: int, sizes: tuple[int, int]) -> None:
         if spec is not None:
@@ -340,6 +341,6 @@ class _Share:
         self.signals = Signals.of(n, *sizes)
 
     def answer(self, method: str, call: tuple[Any, ...]) -> tuple[NDArray[Any], ...]:
-        """The signals of some copies after a method was called on them."""
+        """Call a method on some copies; returns their signals."""
         getattr(self.copies, method)(*call, self.signals)
         return self.signals.rows(call[0])

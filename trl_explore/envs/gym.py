@@ -1,4 +1,4 @@
-"""One gymnasium environment, checked; whatever is wrong with its arguments is one line."""
+"""Build and check one gymnasium environment; any error in its arguments becomes one line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gymnasium import spaces
 from trl_explore.checks import check_integer, check_number, first_line
 
 EXTRAS = {"gymnasium.envs.box2d": "box2d"}
-"""Module of an environment -> the extra of this package that installs what it needs."""
+"""Module of an environment -> the extra of this package that installs its dependencies."""
 
 
 def make_gym(
@@ -24,21 +24,21 @@ def make_gym(
     kwargs: Mapping[str, Any] | None = None,
     attributes: Mapping[str, Any] | None = None,
 ) -> gym.Env:
-    """One gymnasium environment with a vector as observation, and Discrete or Box actions.
+    """One gymnasium environment with vector observations and Discrete or Box actions.
 
-    A Box observation is flattened, a Discrete one becomes one-hot; both are float32.
+    A Box observation is flattened, a Discrete one is one-hot encoded; both are float32.
 
     Args:
         id: gymnasium id.
-        max_steps: time limit of an episode in steps; None takes the one that gymnasium registers.
+        max_steps: time limit of an episode in steps; None means gymnasium's registered limit.
         kwargs: arguments of the environment's constructor.
-        attributes: numbers, flags and texts of the built environment to replace, for constants
-            that its constructor does not take. What the constructor has computed from them
-            keeps its value.
+        attributes: numbers, flags and strings of the environment to replace after construction, for
+            constants that its constructor does not take. Values that the constructor has derived
+            from them do not change.
 
     Raises:
-        ValueError: if the id is unknown, a package is not installed, an argument is refused, an
-            attribute does not exist, or the spaces are not of the supported kinds.
+        ValueError: if the id is unknown, a package is not installed, an argument is rejected, an
+            attribute does not exist, or the spaces are not supported.
 
     Example:
         >>> env = make_gym("CartPole-v1", attributes={"theta_threshold_radians": 0.26})
@@ -58,7 +58,7 @@ def make_gym(
         env = gym.wrappers.FlattenObservation(env)  # one-hot, or the array as a vector
     elif not isinstance(space, spaces.Box):
         raise ValueError(
-            f"environment {id!r} has observation space {space}; Box or Discrete is needed"
+            f"environment {id!r} has observation space {space}, but must have Box or Discrete"
         )
     if env.observation_space.dtype != np.float32:
         env = gym.wrappers.DtypeObservation(env, np.float32)
@@ -68,32 +68,36 @@ def make_gym(
 def _check_actions(id: str, space: spaces.Space[Any]) -> None:
     if isinstance(space, spaces.Discrete):
         if space.start != 0:
-            raise ValueError(f"environment {id!r} numbers its actions from {space.start}")
+            raise ValueError(
+                f"environment {id!r} must number its actions from 0, not from {space.start}"
+            )
     elif not (
         isinstance(space, spaces.Box)
         and len(space.shape) == 1
         and np.issubdtype(space.dtype, np.floating)
     ):
         raise ValueError(
-            f"environment {id!r} has action space {space}; "
-            "Discrete, or a Box with one dimension of floats, is needed"
+            f"environment {id!r} has action space {space}, "
+            "but must have Discrete, or a Box with one dimension of floats"
         )
 
 
 def _construct(id: str, max_steps: int | None, kwargs: dict[str, Any]) -> gym.Env:
-    """Build it; an error of its constructor, whatever it is, becomes one line."""
+    """Construct an environment; any error of its constructor becomes one line."""
     try:
         with warnings.catch_warnings(record=True) as caught:
-            # Box2D's bindings crash the interpreter where this warning of theirs is an error.
+            # If this warning of Box2D's bindings is an error, they crash the interpreter.
             warnings.filterwarnings("ignore", "builtin type [Ss]wig", DeprecationWarning)
             env = gym.make(id, max_episode_steps=max_steps, disable_env_checker=True, **kwargs)
     except gym.error.DependencyNotInstalled as error:
-        raise ValueError(f"environment {id!r} needs a package: {_remedy(id, error)}") from error
+        raise ValueError(
+            f"environment {id!r} needs a missing package: {_remedy(id, error)}"
+        ) from error
     except (gym.error.Error, ModuleNotFoundError) as error:
         raise ValueError(f"unknown environment id {id!r}: {first_line(error)}") from error
     except Exception as error:
         raise ValueError(
-            f"environment {id!r} refuses its arguments: {type(error).__name__}: {first_line(error)}"
+            f"environment {id!r} rejects its arguments: {type(error).__name__}: {first_line(error)}"
         ) from error
     for warning in caught:
         warnings.warn(warning.message, warning.category, stacklevel=2)
@@ -101,7 +105,7 @@ def _construct(id: str, max_steps: int | None, kwargs: dict[str, Any]) -> gym.En
 
 
 def _remedy(id: str, error: Exception) -> str:
-    """How to install what an environment lacks."""
+    """How to install an environment's missing package."""
     entry = str(gym.spec(id).entry_point)
     for module, extra in EXTRAS.items():
         if entry.startswith(module):
@@ -110,16 +114,16 @@ def _remedy(id: str, error: Exception) -> str:
 
 
 def _set_attribute(env: gym.Env, id: str, name: str, value: Any) -> None:
-    """Replace an attribute by a value of the same kind.
+    """Replace an attribute with a value of the same kind.
 
     Raises:
-        ValueError: if there is none, or it is of another kind.
+        ValueError: if the attribute does not exist, or the value is of another kind.
     """
     old = getattr(env, str(name), None)
     kinds = (bool, Real, str)
     kind = next((kind for kind in kinds if isinstance(old, kind)), None)
     if kind is None:
-        raise ValueError(f"environment {id!r} has no number, flag or text {str(name)!r} to set")
+        raise ValueError(f"environment {id!r} has no number, flag or text named {str(name)!r}")
     if kind is Real:
         value = check_number(f"the attribute {name} of {id!r}", value)
         value = int(value) if isinstance(old, int) and value.is_integer() else value
@@ -132,13 +136,13 @@ def _set_attribute(env: gym.Env, id: str, name: str, value: Any) -> None:
 
 
 def reward_threshold(id: str) -> float | None:
-    """The mean score at which gymnasium calls an environment solved; None if it registers none.
+    """The mean score at which gymnasium considers an environment solved; None if not registered.
 
     Args:
-        id: gymnasium id, maybe with the module that registers it, ``module:id``.
+        id: gymnasium id; ``module:id`` imports the module that registers it.
 
     Raises:
-        ValueError: if the id is unknown, or its module fails.
+        ValueError: if the id is unknown, or importing its module fails.
 
     Example:
         >>> reward_threshold("Acrobot-v1")
@@ -151,7 +155,7 @@ def reward_threshold(id: str) -> float | None:
         threshold = gym.spec(name).reward_threshold
     except (gym.error.Error, ModuleNotFoundError) as error:
         raise ValueError(f"unknown environment id {id!r}: {first_line(error)}") from error
-    except Exception as error:  # whatever a module raises while it is imported
+    except Exception as error:  # an import can raise anything
         raise ValueError(
             f"environment {id!r} cannot be imported: {type(error).__name__}: {first_line(error)}"
         ) from error

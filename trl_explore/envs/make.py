@@ -1,4 +1,4 @@
-"""Environments: any gymnasium id as one TorchRL environment whose batch dimension is the lanes."""
+"""``make_env``: any gymnasium id as one TorchRL environment, with the lanes as batch dimension."""
 
 from __future__ import annotations
 
@@ -38,28 +38,29 @@ def make_env(
 ) -> TransformedEnv:
     """Any gymnasium environment as a TorchRL environment with batch size [trials].
 
-    ``GymWrapper`` over ``LaneVectorEnv``, with the transforms ``StepCounter`` ("step_count") and
-    ``RewardSum`` ("episode_reward"). Observations are a vector: a Box is flattened, a Discrete one
-    becomes one-hot. Actions are indices, or vectors that the environment sees clipped to its
-    bounds; the data keep them as they were drawn. Where gymnasium's environment gives
-    ``info["action_mask"]``, "action_mask" [trials, n_actions] (bool) is an observation too.
+    It is a ``GymWrapper`` over ``LaneVectorEnv``, with the transforms ``StepCounter``
+    ("step_count") and ``RewardSum`` ("episode_reward"). Observations are vectors: a Box is
+    flattened, a Discrete one is one-hot encoded. Actions are indices, or vectors; the environment
+    gets vectors clipped to its bounds, and the data keep them as drawn. If the gymnasium
+    environment has ``info["action_mask"]``, there is an observation "action_mask"
+    [trials, n_actions] (bool).
 
     Args:
         id: gymnasium id.
         trials: number of lanes.
-        max_steps: time limit of an episode; None takes the registered one.
+        max_steps: time limit of an episode; None means the registered limit.
         seed: seed of the job.
         first_trial: trial index of lane 0.
         kwargs: arguments of the environment's constructor.
-        attributes: attributes of the built environment to replace: constants that its constructor
-            does not take. A kernel reads them from the same environment.
-        stream: from which of the trials' streams the environment draws.
-        workers: processes that step the lanes, this one among them; None: as many as there are
-            processors. Results do not depend on it.
+        attributes: attributes to replace after construction: constants that the constructor does
+            not take. A kernel reads them from the same environment.
+        stream: the random stream of each trial that the environment uses.
+        workers: number of processes that step the lanes, including this one; None: one per
+            processor. Results do not depend on it.
 
     Raises:
-        ValueError: if the environment does not exist, lacks a package, is not of a kind served,
-            or has no limit; later, if an observation or reward is not finite.
+        ValueError: if the environment does not exist, lacks a package, is not supported, or has no
+            time limit; later, if an observation or reward is not finite.
 
     Example:
         >>> make_env("CartPole-v1", trials=3).rollout(2)["observation"].shape
@@ -87,10 +88,10 @@ def make_env(
 
 
 def lane_env(env: EnvBase) -> LaneVectorEnv:
-    """The lanes within an environment of ``make_env``.
+    """The ``LaneVectorEnv`` inside an environment made by ``make_env``.
 
     Raises:
-        ValueError: if the environment has none.
+        ValueError: if there is none.
     """
     lanes = getattr(getattr(env, "base_env", env), "_env", None)
     if not isinstance(lanes, LaneVectorEnv):

@@ -1,4 +1,4 @@
-"""The lanes: as many copies of an environment as there are trials, as a gymnasium VectorEnv."""
+"""The lanes: one copy of an environment per trial, as a gymnasium VectorEnv."""
 
 from __future__ import annotations
 
@@ -21,39 +21,39 @@ from trl_explore.numerics.streams import Stream, generator
 
 MAX_WORKERS = 256
 MIN_LANES = 4
-"""Lanes for each process below which no further one is started unasked: it would not pay."""
+"""Fewest lanes per process if the number of processes is chosen automatically."""
 
 
 class LaneVectorEnv(VectorEnv):
     """n independent copies of a gymnasium environment, each stepped only while it is unfinished.
 
-    Differs from gymnasium's vector environments in what a laboratory of independent trials needs:
-    a finished lane stays finished, is never stepped, and keeps its last observation, until it is
-    reset by ``options["reset_mask"]`` (autoreset is disabled); every episode of every lane draws
-    from a stream of its own, ``streams.generator(seed, stream, trial, episode)``, so that an
-    episode depends on nothing but its trial, its number and the actions.
+    Unlike gymnasium's vector environments it keeps trials independent. A finished lane is not
+    stepped and keeps its last observation until it is reset by ``options["reset_mask"]``
+    (autoreset is disabled). Every episode of every lane has its own random stream,
+    ``streams.generator(seed, stream, trial, episode)``, so that an episode depends only on the
+    seed, its trial, its number and the actions.
 
-    An environment whose reset gives ``info["action_mask"]`` has masks: the lanes' ``info`` then
-    holds "action_mask" [n, n_actions], bool, False where an action is not allowed. Where a last
-    observation allows none, all are, since no action is taken there. Actions of a Box are clipped
-    to its bounds.
+    An environment whose reset returns ``info["action_mask"]`` has masks: the lanes' ``info`` then
+    has "action_mask" [n, n_actions], bool, False where an action is not allowed. If the last
+    observation of an episode allows no action, the mask is all True, since no action is taken
+    there. Actions of a Box are clipped to its bounds.
 
     Args:
         id: gymnasium id.
         num_envs: number of lanes.
-        max_steps: time limit of an episode in steps; None takes the one that gymnasium registers.
+        max_steps: time limit of an episode in steps; None means gymnasium's registered limit.
         seed: seed of the job.
         first_trial: trial index of lane 0.
         kwargs: arguments of the environment's constructor.
         attributes: see ``make_gym``.
-        stream: from which of the trials' streams the environment draws.
-        workers: processes that step the lanes, this one among them; None takes as many as there
-            are processors. What the lanes do does not depend on it.
+        stream: the random stream of each trial that the environment uses.
+        workers: number of processes that step the lanes, including this one; None: one per
+            processor, with at least ``MIN_LANES`` lanes each. Results do not depend on it.
 
     Raises:
-        ValueError: if an argument is wrong; later, if an observation, a reward or an action is
-            not finite, or a mask forbids every action: with trial and environment.
-        RuntimeError: if an environment fails in a process of its own.
+        ValueError: if an argument is invalid; later, if an observation, a reward or an action is
+            not finite, or a mask forbids every action; the message names environment and trial.
+        RuntimeError: if an environment fails in a worker process.
     """
 
     def __init__(
@@ -74,11 +74,11 @@ class LaneVectorEnv(VectorEnv):
         check_integer("seed", seed, 0)
         self.workers = _workers(workers, num_envs)
         make = partial(make_gym, id, max_steps, dict(kwargs or {}), dict(attributes or {}))
-        # A collector that compiles the environment never steps the lanes: build them when needed.
+        # A collector that compiles the environment never steps the lanes: build them on first use.
         env = make()
         limit = env.spec.max_episode_steps if env.spec is not None else max_steps
         if limit is None:
-            raise ValueError(f"environment {id!r} has no time limit of its own; set max_steps")
+            raise ValueError(f"environment {id!r} has no registered time limit; set max_steps")
         self.id, self.max_steps = id, limit
         self.num_envs = num_envs
         self.spec = env.spec
@@ -104,24 +104,24 @@ class LaneVectorEnv(VectorEnv):
 
     @property
     def envs(self) -> list[gym.Env]:
-        """The copies that exist in this process; the first one always does."""
+        """The copies built in this process; there is always at least one."""
         return self._copies.envs
 
     @property
     def running(self) -> NDArray[np.bool_]:
-        """Whether the lane is within an episode [num_envs]."""
+        """Whether a lane's episode is unfinished [num_envs]."""
         return self._running
 
     def reseed(self, seed: int) -> None:
-        """Start every lane again at episode 0 of its trial under ``seed``."""
-        generator(seed, self.stream, 0)  # raises if the seed is not valid
+        """Restart every lane at episode 0 of its trial with ``seed``."""
+        generator(seed, self.stream, 0)  # raises if the seed is invalid
         self.seed = int(seed)
         self.episodes = np.zeros(self.num_envs, dtype=np.int64)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[Any], dict[str, Any]]:
-        """Begin the next episode of the lanes in ``options["reset_mask"]``, or of all."""
+        """Begin the next episode in the lanes of ``options["reset_mask"]``, or in all lanes."""
         if seed is not None:
             self.reseed(seed)
         mask = (options or {}).get("reset_mask")
@@ -160,20 +160,20 @@ class LaneVectorEnv(VectorEnv):
         )
 
     def _allowed(self, actions: NDArray[Any], lanes: NDArray[np.int64]) -> NDArray[Any]:
-        """The actions as the environment may see them: those of a Box within its bounds."""
+        """The actions for the environment: those of a Box are clipped to its bounds."""
         space = self.single_action_space
         if not isinstance(space, spaces.Box):
             return actions
         if not np.isfinite(actions).all():
             k = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
-            raise self._error(lanes[k], f"was given the action {actions[k].tolist()}")
+            raise self._error(lanes[k], f"got the non-finite action {actions[k].tolist()}")
         return np.clip(actions, space.low, space.high, dtype=space.dtype)
 
     def _info(self) -> dict[str, Any]:
         return {"action_mask": self._signals.mask.copy()} if self.has_masks else {}
 
     def _check(self) -> None:
-        """Refuse what is not finite, and masks that leave nothing to do."""
+        """Reject non-finite observations and rewards, and masks that forbid every action."""
         observation, reward, mask = (
             self._signals.observation,
             self._signals.reward,
@@ -181,14 +181,16 @@ class LaneVectorEnv(VectorEnv):
         )
         if not np.isfinite(observation).all():
             lane, i = (int(k[0]) for k in np.nonzero(~np.isfinite(observation)))
-            raise self._error(lane, f"gave observation[{i}] = {observation[lane, i]}")
+            raise self._error(lane, f"returned observation[{i}] = {observation[lane, i]}")
         if not np.isfinite(reward).all():
             lane = int(np.flatnonzero(~np.isfinite(reward))[0])
-            raise self._error(lane, f"gave the reward {reward[lane]}")
+            raise self._error(lane, f"returned the reward {reward[lane]}")
         if self.has_masks and not (some := mask.any(axis=1)).all():
             stuck = np.flatnonzero(~some & self._running)
             if len(stuck):
-                raise self._error(int(stuck[0]), "gave an action mask that forbids every action")
+                raise self._error(
+                    int(stuck[0]), "returned an action mask that forbids every action"
+                )
             mask[~some] = True
 
     def _error(self, lane: int, what: str) -> ValueError:
@@ -201,14 +203,14 @@ class LaneVectorEnv(VectorEnv):
 
 
 def _workers(workers: int | None, lanes: int) -> int:
-    """How many processes step the lanes."""
+    """The number of processes that step the lanes."""
     if workers is None:
         return max(1, min(processors(), lanes // MIN_LANES))
     return min(check_integer("workers", workers, 1, MAX_WORKERS), lanes)
 
 
 def processors() -> int:
-    """How many processors this process may use."""
+    """The number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -217,7 +219,7 @@ def processors() -> int:
 def _mask_size(make: Make, space: spaces.Space[Any]) -> int:
     """The number of actions in an environment's masks; 0 if it has none.
 
-    Only a reset can tell: of a copy of its own, so that all lanes have the same past.
+    Only a reset can tell. It uses a separate copy, so that all lanes start from the same state.
     """
     if not isinstance(space, spaces.Discrete):
         return 0

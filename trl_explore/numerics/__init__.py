@@ -1,44 +1,47 @@
-"""Compiled arithmetic, its cache on disk, and random streams; knows no reinforcement learning.
+"""Compiled arithmetic, its cache on disk, and random streams; nothing about reinforcement learning.
 
-Each operation has one formula, written twice: in torch, for any device, shape and dtype, and
-compiled, for flat frames on the CPU. ``TWINS`` lists the pairs, and
-``tests/numerics/test_twins.py`` compares each. ``dispatch`` is the only way to the compiled code:
-it imports it on first use, and never where numba is missing. No sum runs over the frames of more
-than one trial, and every sum runs in the order of the frames, so that a trial does not depend on
-its neighbours.
+Every operation exists twice: in torch, for any device, shape and dtype, and compiled, for flat
+frames on the CPU. ``TWINS`` lists the pairs; ``tests/numerics/test_twins.py`` compares each pair.
+``dispatch`` is the only way to the compiled code: it imports the code on first use, and never if
+numba is missing. Every sum runs over the frames of one trial, in their order, so that the results
+of a trial do not depend on the other trials.
 
-Import from the modules: this package imports none of them, so that ``numerics.streams`` needs
+Import from the modules. This package imports none of them, so that ``numerics.streams`` needs
 neither numba nor torch.
 
-**What depends on versions, and which test notices.**
+**What depends on library versions, and which test fails if it breaks.**
 
-* numba, the private classes of its cache (``compiled.cache``: ``FunctionCache._index_key``,
-  ``IndexDataCacheFile``, ``Dispatcher._cache``, the event "numba:compile"):
-  ``tests/numerics/compiled/test_cache.py``.
-* numba and llvmlite, the interface of intrinsics (``arrays``, ``elementary``, ``philox``):
-  ``test_arrays.py``, ``test_elementary.py`` and ``test_philox.py`` beside it.
-* LLVM, which loops become vector instructions: ``test_elementary.py`` reads the machine code for
-  ``exp32``, ``log32`` and ``log1p32``. It changes speed, never bits: no function allows a
-  reordering of sums or the fusion of a product and a sum, except where ``fma`` is written.
-* glibc, the bits of sine and cosine in float64 (``cos_sin``): ``elementary.agree`` compares 20,000
-  angles at run time; where one differs, CartPole calls the library.
-* numpy, the bits of ``Generator(Philox).random`` and ``SeedSequence`` (``streams``, ``philox``):
-  ``test_philox.py``; those of cosine and sine in float32 (``cos32``, ``sin32``), which Acrobot's
-  first observation shows: ``tests/envs/kernels/test_transitions.py``.
-* The bits of a whole training: ``tests/test_golden.py``.
+* numba: the private classes of its cache, used in ``compiled.cache``
+  (``FunctionCache._index_key``, ``IndexDataCacheFile``, ``Dispatcher._cache``, the event
+  "numba:compile"). Test: ``tests/numerics/compiled/test_cache.py``.
+* numba and llvmlite: the interface of intrinsics, used in ``arrays``, ``elementary`` and
+  ``philox``. Tests: ``test_arrays.py``, ``test_elementary.py`` and ``test_philox.py`` in the same
+  folder.
+* LLVM: which loops it vectorises. ``test_elementary.py`` inspects the machine code of ``exp32``,
+  ``log32`` and ``log1p32``. This affects speed, never bits: no function allows LLVM to reorder
+  sums or to fuse a product and a sum, except where the code says ``fma``.
+* glibc: the bits of sine and cosine in float64, which ``cos_sin`` reproduces. At run time
+  ``elementary.agree`` compares 20,000 angles; if one differs, CartPole calls the library.
+* numpy: the bits of ``Generator(Philox).random`` and ``SeedSequence``, used in ``streams`` and
+  ``philox``. Test: ``test_philox.py``.
+* numpy: the bits of cosine and sine in float32, which ``cos32`` and ``sin32`` reproduce for
+  Acrobot's first observation. Test: ``tests/envs/kernels/test_transitions.py``.
+* All of them: the bits of a complete training run. Test: ``tests/test_golden.py``.
 
-**What would be lost without it.** Measured on 1,500 softmax trials of CartPole after 25 iterations,
-in ns per frame: collecting takes 21.5, the loss and its gradient 10.7.
+**What each part gains.** Measured with 1,500 softmax trials of CartPole after 25 iterations, in ns
+per frame. With all parts, collecting takes 21.5, the loss with its gradient 10.7. Without the part:
 
-* ``exp32``, ``log32``, ``log1p32``: collecting 32.6, the loss 27.4 with the C library's functions.
-* ``cos_sin``: collecting 27.6 with the C library's; the bits are the same where ``agree`` says so.
-* ``dot``: the loss 14.2 with a sum in one row.
-* ``columns``: the loss about 12 with a loop, that is 8 to 14 % more; no bit.
-* The blocks of eight frames in ``run_returns``: the loss about 13 with a loop over the frames;
-  the steps of eight in ``end_of_run`` and ``end_of_episode``: about 12.
-* ``borrow``: nothing here (20.0 and 10.6 without). It is kept until it is measured for networks.
-* ``cos32``, ``sin32``: no speed. They hold the promise that Acrobot's kernel gives gymnasium's
-  bits: ``tests/envs/kernels/test_transitions.py``.
+* ``exp32``, ``log32``, ``log1p32`` (the C library's functions instead): collecting 32.6, the loss
+  27.4.
+* ``cos_sin`` (the C library's functions instead): collecting 27.6. The bits are the same if
+  ``agree`` is true.
+* ``dot`` (one sequential sum instead): the loss 14.2.
+* ``columns`` (a loop instead): the loss about 12, which is 8 to 14 % more. The bits are the same.
+* The blocks of eight frames in ``run_returns`` (a loop over frames instead): the loss about 13.
+  The steps of eight in ``end_of_run`` and ``end_of_episode``: about 12.
+* ``borrow``: no gain here (20.0 and 10.6 without it). It stays until it is measured for networks.
+* ``cos32``, ``sin32``: no gain in speed. They give Acrobot's kernel the same bits as gymnasium;
+  test: ``tests/envs/kernels/test_transitions.py``.
 """
 
 TWINS = {
@@ -75,4 +78,4 @@ TWINS = {
     "score.score_sparse": "score.plain_linear_softmax_score",
     "score.score_two": "score.plain_linear_softmax_score",
 }
-"""Compiled function, in ``numerics.compiled`` -> its plain twin, in ``numerics`` or a library."""
+"""Compiled function in ``numerics.compiled`` -> its plain twin in ``numerics`` or a library."""

@@ -1,4 +1,4 @@
-"""Log-probabilities: of an action under a softmax, and under a Gaussian."""
+"""Log-probabilities of actions under a softmax and under a Gaussian."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def categorical_log_prob(logits: Tensor, action: Tensor) -> Tensor:
     """Log softmax(logits)_action, with gradient 1[k = action] − softmax(logits)_k.
 
     Args:
-        logits: [*batch, n_actions]; −∞ marks an action that cannot be taken.
+        logits: [*batch, n_actions]; −∞ marks an illegal action.
         action: [*batch], integer indices.
 
     Returns:
         [*batch] (nats).
 
     Raises:
-        ValueError: if the shapes do not fit each other.
+        ValueError: if the shapes do not match.
         IndexError: if an action is out of range.
 
     Example:
@@ -52,7 +52,7 @@ class _CategoricalLogProb(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, logits: Tensor, action: Tensor) -> Tensor:
         if action.numel() and not 0 <= int(action.min()) <= int(action.max()) < logits.shape[-1]:
-            raise IndexError(f"an action is not in [0, {logits.shape[-1]})")
+            raise IndexError(f"every action must be in [0, {logits.shape[-1]})")
         probs = torch.empty_like(logits)
         out = logits.new_empty(len(logits))
         columns = logits.detach(), action, probs, out
@@ -73,8 +73,8 @@ class _CategoricalLogProb(torch.autograd.Function):
 def gaussian_log_prob(action: Tensor, loc: Tensor, scale: Tensor) -> Tensor:
     """Log N(a; loc, diag(scale²)) = −Σ_j [½ ((a_j − loc_j) / scale_j)² + log scale_j + ½ log 2π].
 
-    The sum over j runs in their order, frame by frame. Made of torch's elementwise operations, it
-    has every derivative that they have.
+    The sum over j runs in ascending order for each frame. It consists of torch's elementwise
+    operations, so it is differentiable to any order.
 
     Args:
         action: a [*batch, n_dims].
@@ -85,7 +85,7 @@ def gaussian_log_prob(action: Tensor, loc: Tensor, scale: Tensor) -> Tensor:
         [*batch], the logarithm of a density (nats).
 
     Raises:
-        ValueError: if the shapes do not fit each other.
+        ValueError: if the shapes do not match.
 
     Example:
         >>> import torch

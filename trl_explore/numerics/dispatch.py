@@ -1,4 +1,4 @@
-"""Which code serves: compiled code where it can, torch everywhere else.
+"""Choice of the implementation: compiled code if it applies, torch otherwise.
 
 This is the only way from the operations in ``numerics`` to the modules in ``numerics.compiled``.
 Those are imported on first use, so that importing an operation needs neither numba nor a cache.
@@ -29,13 +29,13 @@ def compiled(name: str) -> Any:
     """The module ``name`` of ``numerics.compiled``, imported on first use.
 
     Raises:
-        ImportError: if numba is missing; ask ``serves`` first.
+        ImportError: if numba is missing; call ``serves`` first.
     """
     return import_module(f"trl_explore.numerics.compiled.{name}")
 
 
 def serves(first: Tensor, *others: Tensor) -> bool:
-    """Whether compiled code serves these tensors: on the CPU, all float32 or all float64."""
+    """Whether compiled code supports these tensors: on the CPU, all float32 or all float64."""
     dtype = first.dtype
     if not first.is_cpu or (dtype is not torch.float32 and dtype is not torch.float64):
         return False
@@ -51,4 +51,6 @@ def check_frames(frames: torch.Size, **columns: Tensor) -> None:
     """
     for name, column in columns.items():
         if column.shape != frames:
-            raise ValueError(f"{name} is {list(column.shape)}, but the frames are {list(frames)}")
+            raise ValueError(
+                f"{name} has shape {list(column.shape)}, but the frames have {list(frames)}"
+            )

@@ -1,4 +1,4 @@
-"""Affine layers and activations with weights for each trial, over the frames of all trials."""
+"""Affine layers with separate weights for each trial, and activations, over all trials' frames."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ ACTIVATIONS = ("tanh", "relu")
 def lane_linear(x: Tensor, weight: Tensor, trial: Tensor, bias: Tensor | None = None) -> Tensor:
     """y_i = W[trial_i] x_i + b[trial_i].
 
-    Each output is a sum in the order of the inputs, the bias last, whatever stands beside it.
-    The gradients ∂/∂W = Σ_i g_i x_iᵀ and ∂/∂b = Σ_i g_i run over the frames of a trial in their
-    order, in double; ∂/∂x_i = Wᵀ g_i is a sum in the order of the outputs.
+    Each output is a sum in the order of the inputs, with the bias last, so that a frame's result
+    does not depend on other frames. The gradients ∂/∂W = Σ_i g_i x_iᵀ and ∂/∂b = Σ_i g_i are sums
+    over the frames of a trial in their order, in double; ∂/∂x_i = Wᵀ g_i is a sum in the order of
+    the outputs.
 
     Args:
         x: [*batch, n_in].
         weight: [trials, n_out, n_in].
-        trial: [*batch] int64, the row of ``weight`` that serves each frame.
+        trial: [*batch] int64, the row of ``weight`` for each frame.
         bias: [trials, n_out], or None for b = 0.
 
     Returns:
         [*batch, n_out].
 
     Raises:
-        ValueError: if the shapes do not fit each other.
+        ValueError: if the shapes do not match.
         IndexError: if a trial is not in [0, trials).
 
     Example:
@@ -42,10 +43,12 @@ def lane_linear(x: Tensor, weight: Tensor, trial: Tensor, bias: Tensor | None = 
     """
     check_frames(x.shape[:-1], trial=trial)
     if x.shape[-1] != weight.shape[2]:
-        raise ValueError(f"x has {x.shape[-1]} features, but the weights have {weight.shape[2]}")
+        raise ValueError(
+            f"x has {x.shape[-1]} features, but the weights have {weight.shape[2]} inputs"
+        )
     if bias is not None and bias.shape != weight.shape[:2]:
         raise ValueError(
-            f"the bias is {list(bias.shape)}, but the weights are {list(weight.shape)}"
+            f"the bias has shape {list(bias.shape)}, but the weights have {list(weight.shape)}"
         )
     given = [weight] if bias is None else [weight, bias]
     if not serves(x, *given):
@@ -72,7 +75,7 @@ def _apply(x: Tensor, weight: Tensor, trial: Tensor, bias: Tensor | None) -> Ten
     out = x.new_empty(len(x), weight.shape[1])
     columns = x.detach().numpy(), out.numpy(), trial.numpy()
     if not compiled("layers").affine(*columns, _array(weight), _bias(weight, bias)):
-        raise IndexError(f"a trial is not in [0, {len(weight)})")
+        raise IndexError(f"every trial must be in [0, {len(weight)})")
     return out
 
 
@@ -81,7 +84,7 @@ def _array(weight: Tensor) -> NDArray[Any]:
 
 
 def _bias(weight: Tensor, bias: Tensor | None) -> NDArray[Any]:
-    """The bias [trials, n_out]; [trials, 0] stands for none."""
+    """The bias [trials, n_out]; [trials, 0] means no bias."""
     return _array(weight.new_empty(len(weight), 0) if bias is None else bias)
 
 
@@ -101,7 +104,7 @@ class _LaneLinear(torch.autograd.Function):
             to_x = torch.empty_like(x)
             compiled("layers").affine_to_input(g, to_x.numpy(), trial.numpy(), _array(weight))
         if ctx.needs_input_grad[1] or ctx.needs_input_grad[3]:
-            # Hundreds of terms of one sign: summed in double, they cost no more.
+            # Hundreds of terms may have the same sign. Summing in double costs nothing extra.
             slope = np.zeros(weight.shape)
             slope0 = np.zeros(weight.shape[:2] if ctx.biased else (len(weight), 0))
             columns = x.detach().numpy(), g, trial.numpy()
@@ -114,8 +117,8 @@ class _LaneLinear(torch.autograd.Function):
 def activate(x: Tensor, activation: str) -> Tensor:
     """The activation of every element; its derivative is 1 − y² for tanh, 1[y > 0] for relu.
 
-    In float32, tanh is a rational function, within 6 units in the last place: the compiled episode
-    loop calls the same one, so that both give the same bits.
+    In float32, tanh is a rational function with an error of at most 6 units in the last place. The
+    compiled episode loop calls the same function, so that both give the same bits.
 
     Args:
         x: [...].
@@ -147,7 +150,7 @@ def plain_activate(x: Tensor, activation: str) -> Tensor:
 
 
 def check_activation(activation: str) -> str:
-    """``activation`` itself.
+    """Return ``activation`` if it is known.
 
     Raises:
         ValueError: if it is unknown.

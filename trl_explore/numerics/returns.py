@@ -11,21 +11,22 @@ from trl_explore.numerics.dispatch import check_frames, compiled, serves
 def return_to_go(reward: Tensor, done: Tensor, gamma: float, trial: Tensor | None = None) -> Tensor:
     """G_t = r_t + γ · G_{t+1}, with G_{t+1} = 0 after a frame that is done, and after the last.
 
-    Time is the last dimension; any number of episodes may follow each other along it. This is
-    ``discount_rewards`` of the thesis (appendix A.2). A truncated episode is cut where it was
-    truncated, as in the thesis: no value is bootstrapped in its place.
+    Time is the last dimension and may hold several episodes in sequence. This is
+    ``discount_rewards`` of the thesis (appendix A.2). As in the thesis, the return of a truncated
+    episode ends at the truncation, without bootstrapping.
 
     Args:
         reward: [*batch, time].
         done: [*batch, time] bool, True on the last frame of an episode.
         gamma: discount γ in [0, 1].
-        trial: [time] int64, for one row of several trials' frames: G_{t+1} = 0 where it changes.
+        trial: [time] int64, if one row has the frames of several trials: G_{t+1} = 0 where it
+            changes.
 
     Returns:
         [*batch, time], in the dtype of ``reward``.
 
     Raises:
-        ValueError: if the shapes do not fit each other.
+        ValueError: if the shapes do not match.
 
     Example:
         >>> done = torch.tensor([False, True, False])
@@ -35,7 +36,9 @@ def return_to_go(reward: Tensor, done: Tensor, gamma: float, trial: Tensor | Non
     check_frames(reward.shape, done=done)
     if trial is not None:
         if reward.ndim != 1:
-            raise ValueError(f"trial goes with one row of frames, got {list(reward.shape)}")
+            raise ValueError(
+                f"with trial, reward must have one dimension, got {list(reward.shape)}"
+            )
         check_frames(reward.shape, trial=trial)
     if serves(reward):
         if trial is None:

@@ -1,4 +1,4 @@
-"""The sum whose gradient is the policy gradient; for a linear-softmax policy, in one pass."""
+"""The sum whose gradient is the policy gradient; in one pass for a linear softmax policy."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def linear_softmax_score(
     """S_k = Σ_{i: trial_i = k} A_i log softmax(W_k x_i)_{a_i}.
 
     Its gradient, ∂S_k/∂W_k = Σ_i A_i (e_{a_i} − softmax(W_k x_i)) x_iᵀ, is summed in the same pass
-    over the frames, so that nothing is stored for the way back.
+    over the frames, so that nothing is stored for the backward pass.
 
     Args:
         observation: x [frames, n_features].
@@ -54,7 +54,7 @@ def linear_softmax_score(
         S [trials].
 
     Raises:
-        ValueError: if the shapes do not fit each other.
+        ValueError: if the shapes do not match.
         IndexError: if an action or trial is out of range.
 
     Example:
@@ -99,7 +99,7 @@ class _LinearSoftmaxScore(torch.autograd.Function):
 
 
 def formula_serves(observation: Tensor, weight: Tensor, advantage: Tensor) -> bool:
-    """Whether ``linear_softmax_gradient`` serves: compiled code does, for the weights alone."""
+    """Whether ``linear_softmax_gradient`` applies: compiled code, no gradient of observations."""
     return serves(observation, weight, advantage) and not observation.requires_grad
 
 
@@ -113,8 +113,8 @@ def linear_softmax_gradient(
 ) -> tuple[Tensor, Tensor]:
     """S of ``linear_softmax_score`` and ∂S/∂W [trials, n_actions, n_features], without autograd.
 
-    Both are multiplied with ``scale``, in the precision of the weights. Arguments and errors are
-    those of ``linear_softmax_score``; ``formula_serves`` says where it may be called.
+    Both are multiplied by ``scale``, in the precision of the weights. Arguments and errors are
+    those of ``linear_softmax_score``. Call it only if ``formula_serves`` is true.
 
     Example:
         >>> x, w, one = torch.ones(1, 1), torch.zeros(1, 2, 1), torch.tensor([1])
@@ -131,7 +131,9 @@ def linear_softmax_gradient(
         found = _sums(columns, trials, weight, scale)
     if found is None:
         trials, n_actions, _ = weight.shape
-        raise IndexError(f"an action is not in [0, {n_actions}) or a trial not in [0, {trials})")
+        raise IndexError(
+            f"every action must be in [0, {n_actions}) and every trial in [0, {trials})"
+        )
     return found
 
 
@@ -143,10 +145,10 @@ def _sums(
     baseline: float = 0.0,
     gamma: float = 1.0,
 ) -> tuple[Tensor, Tensor] | None:
-    """S and its gradient; None where trials do not ascend, or something is out of range.
+    """S and its gradient; None if trials are not in ascending order or an index is out of range.
 
-    The frames are observation, action and advantage. For two actions, reward and done may follow;
-    there are no advantages then.
+    ``frames`` has observation, action and advantage. For two actions, reward and done may follow;
+    the advantages are then empty.
     """
     kernels, w = compiled("score"), weight.detach().contiguous().numpy()
     total, gradient = np.zeros(len(w), w.dtype), np.zeros(w.shape, w.dtype)
@@ -174,27 +176,27 @@ def linear_softmax_reinforce(
     baseline: float,
     scale: float,
 ) -> tuple[Tensor, Tensor] | None:
-    """What ``linear_softmax_gradient`` gives for A_t = G_t − b, in one pass over the frames.
+    """``linear_softmax_gradient`` with A_t = G_t − b, in one pass over the frames.
 
-    It makes the advantages of ``return_to_go`` itself, in the same operations.
+    It computes the returns with the same operations as ``return_to_go``.
 
     Args:
         observation: x [frames, n_features].
         weight: W [trials, n_actions, n_features].
         action: a [frames] int64.
         reward: r [frames].
-        done: whether the frame is the last one of its episode [frames].
+        done: whether the frame is the last of its episode [frames].
         trial: [frames] int64.
         gamma: discount γ.
         baseline: b.
         scale: a factor of S and its gradient.
 
     Returns:
-        S and its gradient; None where the trials do not ascend, something is out of range, or
-        there are not two actions.
+        S and its gradient; None if the trials are not in ascending order, an index is out of
+        range, or there are not exactly two actions.
 
     Raises:
-        ValueError: if the shapes do not fit each other.
+        ValueError: if the shapes do not match.
     """
     if weight.shape[1] != 2:
         return None
@@ -210,5 +212,6 @@ def _check(
     check_frames(observation.shape[:1], action=action, advantage=advantage, trial=trial)
     if observation.shape[1] != weight.shape[2]:
         raise ValueError(
-            f"observation has {observation.shape[1]} features, the weights {weight.shape[2]}"
+            f"observation has {observation.shape[1]} features, "
+            f"but the weights have {weight.shape[2]}"
         )

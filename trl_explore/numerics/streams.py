@@ -1,4 +1,4 @@
-"""Random streams: which random numbers belong to which trial, decided once, for everything."""
+"""Random streams: seed, purpose, trial and episode determine every random number."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 class Stream(IntEnum):
-    """The purposes for which a trial draws random numbers; each has a stream of its own."""
+    """The purposes for which a trial draws random numbers; each has a separate stream."""
 
     WEIGHTS = 0
     ENVIRONMENT = 1
@@ -27,7 +27,7 @@ def key(seed: int, stream: Stream) -> NDArray[np.uint64]:
         ValueError: if the seed is negative.
     """
     if seed < 0:
-        raise ValueError(f"seed must be a non-negative integer, got {seed}")
+        raise ValueError(f"seed must be >= 0, got {seed}")
     sequence = np.random.SeedSequence(seed, spawn_key=(int(stream),))
     words = sequence.generate_state(2, np.uint64).astype(np.uint64)
     words.flags.writeable = False
@@ -41,10 +41,10 @@ def generator(seed: int, stream: Stream, trial: int, episode: int = 0) -> np.ran
 
         key = SeedSequence(seed, spawn_key=(stream,)),   counter = (block, 0, episode, trial).
 
-    A counter-based generator has no state to carry along: any episode of any trial is reached
-    at once, so that a trial does not depend on its neighbours, on how many episodes they took,
-    or on what was drawn for another purpose, and a resumed run needs no generator states.
-    An episode has 2^64 blocks of four numbers before it would reach another counter word.
+    A counter-based generator has no state to carry: the numbers of any episode of any trial are
+    directly accessible. So a trial does not depend on other trials, on the length of their
+    episodes, or on numbers drawn for another purpose, and a resumed run needs no generator states.
+    An episode has 2^64 blocks of four numbers before it would overflow into the next counter word.
 
     Args:
         seed: seed of the job, >= 0.

@@ -1,7 +1,7 @@
-"""The diagnostics: one entry for every quantity that the training records along a run.
+"""The diagnostics: one entry for every quantity that training records.
 
-``Diagnostics`` computes them, ``episodes.csv`` has a column for each, the readers of results check
-their bounds, and the report draws them. This module imports nothing of the package.
+``Diagnostics`` computes them, ``episodes.csv`` has one column for each, the readers of results
+check their bounds, and the report draws them. This module imports nothing from the package.
 """
 
 from __future__ import annotations
@@ -16,15 +16,14 @@ class Diagnostic:
     """A recorded quantity.
 
     Attributes:
-        title: of its figure.
-        axis: quantity and unit, for the axis of its figure.
+        title: title of the figure.
+        axis: quantity and unit, for the axis of the figure.
         caption: what it is and how to read it.
         bounds: smallest and largest possible value.
-        line: a value to compare with, drawn as a dashed line.
-        may_be_log: draw it on a logarithmic axis where its values span much.
-        from_zero: begin a linear axis at zero.
-        policy: the policy that it describes, π or μ; both are drawn in one figure.
-
+        line: reference value, drawn as a dashed line.
+        may_be_log: use a logarithmic axis if the values span a wide range.
+        from_zero: start a linear axis at zero.
+        policy: the policy described, π or μ; both are drawn in one figure.
     """
 
     title: str
@@ -40,8 +39,8 @@ class Diagnostic:
 ENTROPY = (
     "How random the policies are",
     "entropy, nats",
-    "Entropy of the policy that is learned, π, and of what the agent did, μ, averaged over the"
-    " states of an episode: 0 is certainty, the logarithm of the number of actions pure chance.",
+    "Entropy of the learned policy π and of the behaviour μ, averaged over the states of an"
+    " episode. A deterministic policy has 0, a uniform one the logarithm of the number of actions.",
 )
 
 DIAGNOSTICS: Mapping[str, Diagnostic] = {
@@ -50,14 +49,15 @@ DIAGNOSTICS: Mapping[str, Diagnostic] = {
     "kl": Diagnostic(
         "How far μ was from π",
         "KL(μ‖π), nats",
-        "KL(μ‖π), averaged over the states of an episode: 0 where the actions come from the policy"
-        " that is being improved.",
+        "KL(μ‖π), averaged over the states of an episode. It is 0 if the actions are drawn from"
+        " the learned policy.",
     ),
     "ratio_mean": Diagnostic(
         "The mean ratio",
         "mean of π/μ over an episode",
-        "Mean of π/μ over the actions of an episode. Its expectation is 1 where μ takes every"
-        " action; argmax stays below, since what it never does is missing from the mean.",
+        "Mean of π/μ over the actions of an episode. Its expectation is 1 if μ takes every action"
+        " with positive probability. Argmax stays below 1: the mean lacks the actions that it"
+        " never takes.",
         bounds=(0.0, inf),
         line=1.0,
         from_zero=False,
@@ -66,36 +66,36 @@ DIAGNOSTICS: Mapping[str, Diagnostic] = {
         "What the data are worth to π",
         "effective share of the frames",
         "Kong’s effective sample size of the ratios π/μ of an episode, as a share of its frames: 1"
-        " where every frame counts alike for π, near 0 where a few frames outweigh all others. It"
-        " counts actions one by one; weights of whole episodes are far worse. Argmax looks harmless"
-        " here, since what it never does leaves no trace.",
+        " if all frames have equal weight, near 0 if a few outweigh all others. It weights single"
+        " actions; weights of whole episodes are far worse. Argmax looks harmless here, because"
+        " the actions that it never takes leave no trace.",
         bounds=(0.0, 1.0),
     ),
     "exploratory": Diagnostic(
         "How many actions explored",
         "share of actions that are not greedy",
-        "Share of actions that were not the one that π prefers.",
+        "Share of actions other than the greedy action of π.",
         bounds=(0.0, 1.0),
     ),
     "greedy_share": Diagnostic(
         "Lock-in",
         "share of the more frequent greedy action",
-        "How often, in an episode, the policy preferred the action that it preferred most: at 1 it"
-        " prefers the same action wherever it is, and argmax does nothing else.",
+        "Share of the frames of an episode whose greedy action is the most frequent one. At 1 the"
+        " greedy action is the same in every state visited, and argmax takes no other.",
         bounds=(0.0, 1.0),
     ),
     "coverage": Diagnostic(
         "How much was seen",
         "cells visited so far",
         "Cells of the observation space that a trial has visited so far (one-hot states, or cubes"
-        " of width 0.1). Long episodes see more.",
+        " of width 0.1). Long episodes visit more.",
         bounds=(1.0, inf),
         may_be_log=True,
     ),
     "gradient_norm": Diagnostic(
         "How strong the signal was",
-        "length of the gradient",
-        "Euclidean length of the gradient of a trial’s loss, before the optimiser.",
+        "norm of the gradient",
+        "Euclidean norm of the gradient of a trial’s loss, before the optimiser step.",
         bounds=(0.0, inf),
         may_be_log=True,
     ),

@@ -1,4 +1,4 @@
-"""What happens inside of a trial: how random π and μ are, how far apart, and what is visited."""
+"""Diagnostics of a trial: randomness and distance of π and μ, coverage, gradient norm."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ CELL = 0.1
 
 
 class Diagnostics:
-    """Quantities of every iteration and trial that explain how it learns.
+    """Quantities, per iteration and trial, that explain how a trial learns.
 
     Over the n frames of a trial's iteration, with ρ = π(a|s) / μ(a|s) of the actions taken:
 
         entropy_policy         mean of H(π(·|s)) [nats]
         entropy_behaviour      mean of H(μ(·|s)) [nats]
         kl                     mean of KL(μ(·|s) ‖ π(·|s)) [nats]
-        ratio_mean             mean of ρ; its expectation is 1 where μ covers π
+        ratio_mean             mean of ρ; its expectation is 1 if μ covers π
         effective_sample_size  (Σ ρ)² / (n Σ ρ²), in (0, 1] (Kong 1992)
-        exploratory            share of actions that are not the greedy one
-        greedy_share           share of the action that is greedy in most frames: 1 is lock-in,
-                               the same greedy action wherever the agent went
+        exploratory            share of actions that are not greedy
+        greedy_share           share of frames with the most frequent greedy action: 1 is lock-in,
+                               the same greedy action in every state visited
         coverage               number of cells of the observation space visited so far; a cell is
                                a one-hot state, or a cube of width 0.1
         gradient_norm          ‖∂L/∂θ‖₂ of the trial's policy parameters
 
-    Over continuous actions the entropy of μ is the mean of −log μ(a|s), and the KL divergence that
-    of log μ(a|s) − log π(a|s); the greedy action is the mean of π, and greedy_share has no value.
+    For continuous actions the entropy of μ is the mean of −log μ(a|s), and the KL divergence that
+    of log μ(a|s) − log π(a|s); the greedy action is the mean of π, and greedy_share is undefined.
 
-    What has no value is nan: entropy_behaviour and kl without exact probabilities of every
-    action, or where an iteration has several episodes and μ changes with each of them
-    (``ParameterNoise``); the ratios without "action_log_prob".
+    Undefined quantities are nan: entropy_behaviour and kl if the probabilities of all actions are
+    not known exactly, or if an iteration has several episodes and μ changes with each of them
+    (``ParameterNoise``); the ratios if there is no "action_log_prob".
 
     Args:
         actor: the target policy.
-        strategy: the behaviour.
+        strategy: the behaviour policy.
         trials: the number of trials.
-        parameters: of the policy, each with the trials as dimension 0.
+        parameters: the policy's parameters, each with the trials as dimension 0.
     """
 
     def __init__(
@@ -66,11 +66,11 @@ class Diagnostics:
 
     @torch.no_grad()
     def record(self, data: TensorDictBase, active: NDArray[np.bool_]) -> None:
-        """Enter an iteration: after the loss's backward pass, before the update.
+        """Record an iteration; call it after the loss's backward pass, before the update.
 
         Args:
-            data: its frames.
-            active: [trials] bool, whose frames they are.
+            data: the frames of the iteration.
+            active: [trials] bool, the trials that have frames.
         """
         trial, done = data.get("trial"), data.get(("next", "done")).squeeze(-1)
         reward = data.get(("next", "reward")).squeeze(-1)
@@ -86,7 +86,7 @@ class Diagnostics:
         self._rows.append(table.numpy().astype(np.float32))
 
     def _densities(self, episodes: Episodes) -> dict[str, Tensor]:
-        """What there is to say of continuous actions."""
+        """The diagnostics of continuous actions."""
         data, action = episodes.tensordict, episodes.tensordict.get("action")
         pi: Any = frame_distribution(self.actor, data)
         log_pi, log_mu = pi.log_prob(action).double(), data.get("action_log_prob", None)
@@ -154,7 +154,7 @@ class Diagnostics:
         return squares.sqrt()
 
     def columns(self) -> dict[str, NDArray[np.float32]]:
-        """Every quantity, one entry per iteration and active trial, in that order."""
+        """Every quantity, one entry per iteration and active trial, ordered by both."""
         table = np.concatenate([np.empty((0, len(COLUMNS)), np.float32), *self._rows])
         return dict(zip(COLUMNS, table.T, strict=True))
 
@@ -164,7 +164,7 @@ class Diagnostics:
         return np.repeat(np.arange(1, len(counts) + 1), counts)
 
     def state_dict(self) -> dict[str, Any]:
-        """The cells visited; the record is in ``history``."""
+        """The visited cells; ``history`` has the rest."""
         sizes = [len(cells) for cells in self.visited]
         cells = b"".join(cell for cells in self.visited for cell in sorted(cells))
         return {
@@ -173,7 +173,7 @@ class Diagnostics:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where ``state_dict`` was taken."""
+        """Restore a ``state_dict``."""
         sizes = np.asarray(state["sizes"])
         cells = np.asarray(state["cells"]).reshape(max(1, int(sizes.sum())), -1)
         parts = np.split(cells, np.cumsum(sizes)[:-1])
@@ -183,7 +183,7 @@ class Diagnostics:
         ]
 
     def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
-        """The record of the iterations after the first ``since``, up to and with ``until``."""
+        """The record of iterations ``since`` + 1 to ``until``; None means the last."""
         part = self._rows[since:until]
         return {
             "rows": np.concatenate([np.empty((0, len(COLUMNS)), np.float32), *part]),
@@ -191,13 +191,13 @@ class Diagnostics:
         }
 
     def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Append what ``history`` gave."""
+        """Append the output of ``history``."""
         if len(counts := columns["counts"]):
             self._rows += np.split(columns["rows"], np.cumsum(counts)[:-1])
 
 
 def _ratios(episodes: Episodes, log_ratio: Tensor) -> dict[str, Tensor]:
-    """Of log ρ [frames]."""
+    """The diagnostics of the ratios, from log ρ [frames]."""
     ratio = log_ratio.exp()
     mean = episodes.trial_mean(ratio)
     size = mean**2 / episodes.trial_mean(ratio**2)
@@ -205,5 +205,5 @@ def _ratios(episodes: Episodes, log_ratio: Tensor) -> dict[str, Tensor]:
 
 
 def _entropy(log_prob: Tensor) -> Tensor:
-    """H [frames] of log-probabilities [frames, n_actions]; 0 · log 0 = 0."""
+    """Entropy [frames] of log-probabilities [frames, n_actions], with 0 · log 0 = 0."""
     return -torch.where(log_prob == -torch.inf, 0.0, log_prob.exp() * log_prob).sum(-1)

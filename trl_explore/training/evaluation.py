@@ -1,4 +1,4 @@
-"""Evaluation apart from training: the greedy policy, on environment streams of its own."""
+"""Evaluation of the greedy policy, with random streams separate from those of training."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from trl_explore.strategies import (
 class Evaluator:
     """Scores of the greedy policy argmax π(·|s) of every trial, every ``every`` iterations.
 
-    The score of a training episode contains the noise of the exploration itself: ε = 0.3 handicaps
-    its own score. Here every active trial plays ``episodes`` episodes without exploration, from
-    the streams ``Stream.EVALUATION``, so that training draws the same numbers and writes the same
-    files, evaluated or not.
+    The score of a training episode includes the effect of exploration: ε = 0.3 lowers the score.
+    Here every active trial plays ``episodes`` episodes without exploration, with the streams
+    ``Stream.EVALUATION``, so that evaluation does not change the random numbers or the files of
+    training.
 
     Args:
-        collector: over an environment of its own, with ``ExplorationType.DETERMINISTIC`` and
+        collector: a collector with a separate environment, ``ExplorationType.DETERMINISTIC`` and
             ``episodes`` episodes per call.
         every: the number of iterations between evaluations, >= 1.
-        score_window: the number of evaluation episodes that a mean is taken over, >= 1.
-        score_threshold: the mean to exceed, over a full window.
+        score_window: the number of evaluation episodes that the mean averages over, >= 1.
+        score_threshold: the mean over a full window must exceed it.
 
     Raises:
         ValueError: if a number is out of range.
@@ -50,13 +50,13 @@ class Evaluator:
         self._rows: list[tuple[int, NDArray[np.int64], NDArray[np.float64]]] = []
 
     def is_due(self, iteration: int) -> bool:
-        """Whether there is an evaluation after so many iterations."""
+        """Whether there is an evaluation after ``iteration`` iterations."""
         return iteration % self.every == 0
 
     def evaluate(self, iteration: int, active: NDArray[np.bool_]) -> None:
-        """Play with the present parameters of the active trials, and record the scores."""
+        """Play episodes with the active trials' current parameters, and record the scores."""
         k = self.collector.episodes_per_update
-        # All trials count alike, so that an evaluation does not depend on who has stopped.
+        # Episode numbers follow from the iteration, so they do not depend on when trials stopped.
         self.collector.episodes[:] = k * (iteration // self.every - 1)
         scores = self.collector.collect(active).score
         trial, columns = np.flatnonzero(active), scores.reshape(-1, k)
@@ -83,11 +83,11 @@ class Evaluator:
         }
 
     def state_dict(self) -> dict[str, Any]:
-        """What the next decision needs; the record is in ``history``."""
+        """The window of scores that ``passed`` reads; ``history`` has all scores."""
         return {"window": self._window.copy(), "filled": self._filled}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where ``state_dict`` was taken."""
+        """Restore a ``state_dict``."""
         self._window[:] = np.asarray(state["window"])
         self._filled = int(state["filled"])
 
@@ -104,7 +104,7 @@ class Evaluator:
         }
 
     def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Append what ``history`` gave."""
+        """Append the output of ``history``."""
         cuts = np.cumsum(columns["counts"])[:-1]
         parts = (columns["iterations"].tolist(), *(
             np.split(columns[name], cuts) for name in ("trial", "scores")
@@ -114,9 +114,9 @@ class Evaluator:
 
 
 def exploiting(strategy: BaseStrategy) -> BaseStrategy:
-    """The strategy that takes the best action, with the entries of ``strategy``.
+    """The strategy that takes the greedy action, with the same keys as ``strategy``.
 
-    Over n actions it is the argmax of the logits; over vectors, the mean.
+    For discrete actions it is the argmax of the logits; for continuous ones, the mean.
 
     Raises:
         TypeError: if the strategy is of neither kind.
@@ -132,4 +132,4 @@ def exploiting(strategy: BaseStrategy) -> BaseStrategy:
         return MeanAction(
             loc_key=strategy.loc_key, scale_key=strategy.scale_key, action_key=strategy.action_key
         )
-    raise TypeError(f"{type(strategy).__name__} draws neither discrete nor continuous actions")
+    raise TypeError(f"{type(strategy).__name__} must be a Strategy or a ContinuousStrategy")

@@ -1,4 +1,4 @@
-"""What is known of every trial while it runs: scores, stopping rule, status."""
+"""The record of every trial: scores, stopping rule, status."""
 
 # numba rewrites signatures:
 # pyright: reportCallIssue=false
@@ -22,7 +22,7 @@ CURVES = ("episode_score", "score", "active", "converged")
 
 
 class Trials:
-    """The record of n independent trials, and the rule by which each stops.
+    """The record of n independent trials, and their stopping rule.
 
     A trial has converged when the mean score of its last ``score_window`` episodes is greater
     than ``score_threshold``, over a full window; it is capped (right-censored) after
@@ -31,8 +31,8 @@ class Trials:
     Args:
         trials: n >= 1.
         max_iterations: the cap, >= 1.
-        score_threshold: the final score to exceed.
-        score_window: number of episodes the final score averages over, >= 1.
+        score_threshold: the final score must exceed it.
+        score_window: the number of episodes that the final score averages over, >= 1.
 
     Raises:
         ValueError: if an argument is out of range.
@@ -56,17 +56,17 @@ class Trials:
         self.frames = np.zeros(n, dtype=np.int64)
         self.seconds = np.zeros(n)
         self.score = np.zeros(n)
-        """The mean score over the last ``score_window`` episodes, or over all while fewer [n]."""
+        """Mean score of the last ``score_window`` episodes, or of all if there are fewer [n]."""
         self._episode_score = np.zeros(n)
         self._n_episodes = 0
         self._window = np.zeros((self.score_window, n))
         self._sum = np.zeros(n)
-        """Of the scores in the window, those to come being 0 [n]."""
+        """Sum of the scores in the window; empty places count 0 [n]."""
         self._episodes: list[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]] = []
 
     @classmethod
     def joined(cls, parts: Sequence[Trials]) -> Trials:
-        """The record of all trials of the parts, in their order; it takes no further iterations."""
+        """One record of the trials of all parts, in order; it cannot record more iterations."""
         first, *others = parts
         if not others:
             return first
@@ -94,7 +94,7 @@ class Trials:
 
     @property
     def iteration(self) -> int:
-        """The number of iterations that the batch of trials has done."""
+        """The number of iterations recorded so far."""
         return len(self._episodes)
 
     def record(
@@ -105,16 +105,15 @@ class Trials:
         seconds: float,
         passed: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Enter one iteration and stop the trials whose time has come.
+        """Record one iteration, and apply the stopping rule.
 
         Args:
-            scores: undiscounted return of the episodes of every active trial, trials ascending
-                [active], or [active, k] with k episodes for each.
-            frames: their numbers of frames, in the same shape.
-            diverged: whether the trial has left the finite numbers [active].
+            scores: undiscounted returns of the episodes of the active trials, in ascending order
+                of trials [active], or [active, k] with k episodes each.
+            frames: the numbers of frames of the episodes, in the same shape.
+            diverged: whether the trial's loss or a weight is not finite [active].
             seconds: wall time since the first iteration of these trials began [s].
-            passed: whether the trial has converged, where something else than its training scores
-                decides that [active].
+            passed: whether the trial has converged [active]; None: its training scores decide.
         """
         (trial,) = self.active.nonzero()
         highest = self._enter(trial, scores, frames, seconds)
@@ -132,7 +131,7 @@ class Trials:
         frames: NDArray[np.int64],
         seconds: float,
     ) -> float:
-        """Enter the episodes of these trials; the highest of their final scores."""
+        """Record the episodes of these trials; returns the highest of their final scores."""
         self._episodes.append((trial, scores, frames))
         columns = scores.reshape(len(trial), -1)
         first = self._n_episodes % self.score_window
@@ -154,7 +153,7 @@ class Trials:
 
     @property
     def status(self) -> NDArray[np.str_]:
-        """What has become of the trial: active, converged, capped or diverged [n]."""
+        """The status of each trial: active, converged, capped or diverged [n]."""
         return STATUSES[self._status]
 
     @property
@@ -165,7 +164,8 @@ class Trials:
     def curves(self) -> dict[str, NDArray[np.float64]]:
         """Averages over all trials after every iteration, each [iterations].
 
-        In its last iteration a trial counts with its episode, from then on with its final score.
+        Up to and including its last iteration a trial counts with the score of its episode,
+        afterwards with its final score.
         """
         again, n, stopped = (
             Trials(len(self), score_window=self.score_window),
@@ -187,7 +187,7 @@ class Trials:
         return dict(zip(CURVES, [*averages / n, *counts], strict=True))
 
     def episodes(self) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
-        """One row for each episode, by iteration and then trial."""
+        """One row per episode, ordered by iteration and then trial."""
         trials, scores, all_frames = zip(*self._episodes, strict=True)
         score = np.concatenate([column.reshape(-1) for column in scores])
         frames = np.concatenate([column.reshape(-1) for column in all_frames])
@@ -198,7 +198,7 @@ class Trials:
         return {"trial": trial, "iteration": iteration, "score": score, "frames": frames}
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything but the episodes, which ``history`` gives: its size stays the same."""
+        """The state without the episodes, which ``history`` has; its size is constant."""
         arrays = {name: getattr(self, name).copy() for name in _ROWS}
         return {
             **arrays,
@@ -208,14 +208,15 @@ class Trials:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where ``state_dict`` was taken; its history must have been loaded before.
+        """Restore a ``state_dict``; load its history first.
 
         Raises:
-            ValueError: if the history is not that of the state.
+            ValueError: if history and state differ in their number of iterations.
         """
         if state["iteration"] != self.iteration:
             raise ValueError(
-                f"the state is of iteration {state['iteration']}, the history of {self.iteration}"
+                f"the state has {state['iteration']} iterations, "
+                f"but the history has {self.iteration}"
             )
         for name in _ROWS:
             getattr(self, name)[:] = state[name]
@@ -224,12 +225,12 @@ class Trials:
         self._n_episodes = int(state["episodes"])
 
     def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
-        """The iterations after the first ``since``, up to and with ``until``, as columns.
+        """Iterations ``since`` + 1 to ``until`` as columns; None means the last.
 
         Returns:
-            "rows" and "width" [iterations], the numbers of active trials and of episodes of each;
-            and by iteration and then trial "trial" [rows], "score" and "frames" [rows * width],
-            in the smallest of a few types that holds them exactly.
+            "rows" and "width" [iterations], the number of active trials and of episodes per trial;
+            "trial" [rows], "score" and "frames" [rows * width], ordered by iteration and then
+            trial, in the smaller of two types if it is exact.
         """
         part = self._episodes[since:until]
         columns = list(zip(*part, strict=True)) or [(), (), ()]
@@ -246,7 +247,7 @@ class Trials:
         }
 
     def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Append what ``history`` gave."""
+        """Append the output of ``history``."""
         trial, score = columns["trial"].astype(np.int64), columns["score"].astype(np.float64)
         frames = columns["frames"].astype(np.int64)
         low = start = 0
@@ -259,7 +260,7 @@ class Trials:
 
 
 _ROWS = ("iterations", "frames", "seconds", "score", "_episode_score", "_window", "_sum")
-"""What ``_enter_rows`` changes, all with an entry for each trial."""
+"""The arrays that ``_enter_rows`` changes; each has an entry per trial."""
 
 
 @compiled(arrays)
@@ -267,7 +268,7 @@ def _enter_rows(
     trial, scores, counts, first, filled, now, iterations, frames, seconds, score, episode_score,
     window, window_sum,
 ):  # fmt: skip
-    """Enter the episodes [active, k] of an iteration in the rows; the highest of the scores."""
+    """Record an iteration's episodes [active, k]; returns the highest final score."""
     size, highest = len(window), -np.inf
     window = borrow(window)
     for j in range(len(trial)):
@@ -276,7 +277,7 @@ def _enter_rows(
             place = (first + e) % size
             window_sum[row] += scores[j, e] - window[place, row]  # exact for whole numbers
             window[place, row] = scores[j, e]
-            if place == size - 1:  # so that what is rounded does not pile up
+            if place == size - 1:  # so that rounding errors do not accumulate
                 window_sum[row] = 0.0
                 for f in range(size):
                     window_sum[row] += window[f, row]
@@ -293,7 +294,7 @@ def _enter_rows(
 
 
 def _small(values: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
-    """The values in ``dtype`` where that loses nothing, as they are otherwise."""
+    """The values in ``dtype`` if that is exact, else unchanged."""
     with np.errstate(over="ignore", invalid="ignore"):
         small = values.astype(dtype)
     return small if np.array_equal(small, values, equal_nan=True) else values

@@ -1,8 +1,8 @@
 """The trials of a job in shards, each trained from first episode to last by one thread.
 
-Trials are independent, and a trial is the same agent in whatever company it runs. So shards need
-nothing of each other, and their results are joined once, at the end: every file of a job is the
-same for every partition and any number of threads.
+Trials are independent: the results of a trial do not depend on the other trials in its shard. So
+shards do not communicate, and their results are joined once, at the end. Every file of a job is
+the same for any partition and any number of threads.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from trl_explore.training.record import Trials
 from trl_explore.training.trainer import Trainer
 
 LARGEST = 2048
-"""Trials of a shard at most: the frames of an iteration should stay in the processor's cache."""
+"""Most trials in a shard: the frames of an iteration should stay in the processor's cache."""
 SMALLEST = 128
-"""Trials of a shard at least: below, an iteration is mostly Python, which threads do not share."""
+"""Fewest trials in a shard: below, an iteration is mostly Python, which does not parallelise."""
 LOOK = 0.1
-"""Seconds between two looks of the main thread for signals."""
+"""Seconds between two checks of the main thread for signals."""
 
 
 def partition(trials: int, threads: int = 1) -> list[int]:
@@ -40,16 +40,16 @@ def partition(trials: int, threads: int = 1) -> list[int]:
     """
     count = max(1, -(-trials // LARGEST), min(threads, trials // SMALLEST))
     if count >= threads:
-        count += -count % threads  # all threads have work to the end
+        count += -count % threads  # all threads have work until the end
     edges = [trials * k // count for k in range(count + 1)]
     return [high - low for low, high in pairwise(edges)]
 
 
 class Shards:
-    """Trains the shards of a job and joins what they give.
+    """Trains the shards of a job and joins their results.
 
     Args:
-        trainers: one for each shard, in the order of the trials.
+        trainers: one per shard, in the order of the trials.
 
     Attributes:
         offsets: the number of trials before each shard.
@@ -62,17 +62,17 @@ class Shards:
 
     @property
     def seconds(self) -> float:
-        """Wall time of the training so far, without that of compilation [s]."""
+        """Wall time of training so far, without compilation [s]."""
         return self._before + (0.0 if self._started is None else clock() - self._started)
 
     def resume(self, seconds: float) -> None:
-        """Count from the seconds of a training that was interrupted."""
+        """Start counting from the seconds of an interrupted training."""
         self._before = seconds
 
     def run(self, threads: int = 1) -> Trials:
-        """Train until every trial has stopped; the record of all trials.
+        """Train until every trial has stopped; returns the record of all trials.
 
-        What a shard raises ends the others at their next iteration, and is raised here.
+        An exception in one shard stops the others at their next iteration, and is raised here.
         """
         self._started = clock()
         try:
@@ -98,7 +98,7 @@ class Shards:
                     trainer.close()
             except BaseException as error:
                 errors.append(error)
-                if isinstance(error, Exception):  # a signal ends every shard by itself
+                if isinstance(error, Exception):  # a signal stops every shard anyway
                     failed.set()
             finally:
                 ended.release()
@@ -107,7 +107,7 @@ class Shards:
             for _ in range(threads):
                 threading.Thread(target=work, daemon=True).start()
             for _ in range(threads):
-                while not ended.acquire(timeout=LOOK):  # signals are served between two looks
+                while not ended.acquire(timeout=LOOK):  # signals are handled in between
                     pass
         finally:
             failed.set()
@@ -126,14 +126,14 @@ class Shards:
         return {name: torch.cat([part[name].detach() for part in parts]) for name in parts[0]}
 
     def evaluations(self) -> dict[str, NDArray[Any]] | None:
-        """The rows of ``Evaluator.rows`` of all trials; None: there are no evaluations."""
+        """The rows of ``Evaluator.rows`` for all trials; None if there is no evaluation."""
         parts = [t.evaluator.rows() for t in self.trainers if t.evaluator is not None]
         for part, offset in zip(parts, self.offsets, strict=False):
             part["trial"] = part["trial"] + offset
         return _by_iteration(parts, [part["iteration"] for part in parts])
 
     def diagnostics(self) -> dict[str, NDArray[Any]] | None:
-        """Every quantity, one entry per iteration and active trial; None: there are none."""
+        """Every diagnostic, one entry per iteration and active trial; None if not recorded."""
         found = [t.diagnostics for t in self.trainers if t.diagnostics is not None]
         return _by_iteration([d.columns() for d in found], [d.iterations() for d in found])
 
@@ -146,7 +146,7 @@ class Shards:
 def _by_iteration(
     parts: Sequence[Mapping[str, NDArray[Any]]], iterations: Sequence[NDArray[np.int64]]
 ) -> dict[str, NDArray[Any]] | None:
-    """The rows of all parts by iteration, and then part; None: there is no part."""
+    """The rows of all parts, ordered by iteration and then part; None if there is no part."""
     if len(parts) < 2:
         return dict(parts[0]) if parts else None
     order = np.argsort(np.concatenate(iterations), kind="stable")

@@ -1,4 +1,4 @@
-"""The loop: collect one episode of every active trial, update, stop those that are done."""
+"""The training loop: collect an episode of every active trial, update, apply the stopping rule."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from trl_explore.training.record import Trials
 
 
 class TrialLoss(Protocol):
-    """What the trainer needs of a loss."""
+    """The interface of a loss that the trainer uses."""
 
     reduction: str
 
     def backward(self, tensordict: TensorDictBase) -> torch.Tensor:
-        """Add the gradients of all losses to those of the parameters; the loss of each trial."""
+        """Add the losses' gradients to those of the parameters; returns each trial's loss."""
         ...
 
     def step(self, tensordict: TensorDictBase) -> None:
@@ -33,24 +33,23 @@ class TrialLoss(Protocol):
 
 
 class Trainer:
-    """Trains all trials of a job, in lockstep: all finish iteration i before any begins i + 1.
+    """Trains trials in lockstep: all finish iteration i before any begins i + 1.
 
-    It knows no concrete environment, policy, strategy or loss.
+    It depends on no concrete environment, policy, strategy or loss.
 
     Args:
-        collector: one whole episode of every active trial per call.
+        collector: collects whole episodes of every active trial.
         loss: a loss with one value per trial, in "trial_loss", and reduction "sum" or "none".
-        optimizer: moves the active trials.
-        trials: the record, which decides when a trial stops.
-        evaluator: plays the greedy policy now and then.
-        stop_on_evaluation: whether a trial converges by its evaluation scores, not by those of
-            its training.
-        diagnostics: records what happens inside of the trials.
+        optimizer: updates the active trials.
+        trials: the record with the stopping rule.
+        evaluator: plays the greedy policy at regular intervals.
+        stop_on_evaluation: whether evaluation scores decide convergence, not training scores.
+        diagnostics: records quantities that explain how a trial learns.
         on_iteration: called after each iteration with the record.
 
     Raises:
-        ValueError: if the loss averages over trials, which would couple them, or evaluation is to
-            decide and there is none.
+        ValueError: if the loss averages over trials, which would couple them, or if
+            ``stop_on_evaluation`` is set without an evaluator.
     """
 
     def __init__(
@@ -66,9 +65,11 @@ class Trainer:
         on_iteration: Callable[[Trials], None] | None = None,
     ) -> None:
         if loss.reduction == "mean":
-            raise ValueError("loss: reduction 'mean' couples the trials; allowed are sum and none")
+            raise ValueError(
+                "loss: reduction must be 'sum' or 'none', got 'mean', which couples the trials"
+            )
         if stop_on_evaluation and evaluator is None:
-            raise ValueError("stop_on=evaluation needs evaluate_every of at least 1, got 0")
+            raise ValueError("stop_on=evaluation needs evaluate_every >= 1, got 0")
         self.collector = collector
         self.loss = loss
         self.optimizer = optimizer
@@ -79,8 +80,8 @@ class Trainer:
         self.on_iteration = on_iteration
         self._weights = Views(optimizer.parameters)
         self.seconds = 0.0
-        """Wall time of the training so far, with that before an interruption, without that of
-        compilation [s]."""
+        """Wall time of training so far, without compilation; includes the time before an
+        interruption [s]."""
         parts = {
             "collector": collector,
             "loss": loss,
@@ -90,10 +91,10 @@ class Trainer:
             "diagnostics": diagnostics,
         }
         self.parts: dict[str, Any] = {k: part for k, part in parts.items() if part is not None}
-        """Everything with a state, by name: whatever joins the loop is entered here."""
+        """All parts with a state, by name; a new part of the loop must be added here."""
 
     def run(self, stopped: Callable[[], bool] = lambda: False) -> Trials:
-        """Train until every trial has stopped, or ``stopped`` says so between two iterations."""
+        """Train until every trial has stopped, or ``stopped()`` is true between iterations."""
         started = clock() - self.seconds
         while self.trials.active.any() and not stopped():
             self._iterate(started)
@@ -104,32 +105,32 @@ class Trainer:
 
     @property
     def parallel(self) -> bool:
-        """Whether trainers of several threads run at the same time."""
+        """Whether trainers in several threads run at the same time."""
         evaluates = self.evaluator is None or self.evaluator.collector.parallel
         return self.collector.parallel and evaluates
 
     def close(self) -> None:
-        """Close the environments, and let go of the memory for frames."""
+        """Close the environments and free the memory for frames."""
         self.collector.shutdown()
         if self.evaluator is not None:
             self.evaluator.collector.shutdown()
 
     def state_dict(self) -> dict[str, Any]:
-        """The state of every part between two iterations, but for what ``history`` gives.
+        """The state of every part between two iterations, without what ``history`` has.
 
-        Random streams have no state: an episode's numbers follow from its trial and its number.
+        Random streams have no state: seed, trial and episode determine an episode's numbers.
         """
         parts = {name: part.state_dict() for name, part in self.parts.items()}
         return {"seconds": self.seconds, "parts": parts}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where ``state_dict`` was taken; its history must have been loaded before."""
+        """Restore a ``state_dict``; load its history first."""
         for name, part in self.parts.items():
             part.load_state_dict(state["parts"][name])
         self.seconds = float(state["seconds"])
 
     def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
-        """What the parts have recorded in the iterations after ``since``, up to ``until``."""
+        """The parts' records of iterations ``since`` + 1 to ``until``; None means the last."""
         return {
             f"{name}.{column}": values
             for name, part in self.parts.items()
@@ -138,7 +139,7 @@ class Trainer:
         }
 
     def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Append what ``history`` gave."""
+        """Append the output of ``history``."""
         for name, part in self.parts.items():
             if hasattr(part, "load_history"):
                 own = [column for column in columns if column.startswith(f"{name}.")]
@@ -159,7 +160,7 @@ class Trainer:
         self.trials.record(scores, lengths, diverged, clock() - started, passed)
 
     def _evaluate(self, active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
-        """Evaluate if it is time to; who has passed by it [active], if that is what counts."""
+        """Evaluate if due; returns which trials passed [active], or None if training decides."""
         if self.evaluator is None:
             return None
         iteration = self.trials.iteration + 1

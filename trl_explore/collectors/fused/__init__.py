@@ -1,4 +1,4 @@
-"""The fused collector: environment, policy and strategy as one compiled loop over episodes."""
+"""The fused collector: environment, policy and strategy in one compiled loop over episodes."""
 
 from trl_explore.collectors.fused.collector import FusedCollector, NotCompilableError
 

@@ -1,4 +1,4 @@
-"""The collector that compiles what environment, policy and strategy say."""
+"""The collector that compiles environment, policy and strategy into one loop."""
 
 from __future__ import annotations
 
@@ -38,23 +38,23 @@ WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, Dt
 TRANSFORMS = (StepCounter, RewardSum)
 
 FIRST_FRAMES = 256
-"""Frames of an episode that there is room for at first."""
+"""The number of frames per episode to allocate at first."""
 
 
 class NotCompilableError(ValueError):
-    """What the fused collector was given and cannot compile; the message says why."""
+    """The fused collector cannot compile its arguments; the message gives the reason."""
 
 
 class FusedCollector(EpisodeCollector):
     """Runs whole episodes in machine code, thousands of times faster than stepping TorchRL.
 
-    It compiles the environment's id and constants, the transforms it knows, the policy's weights
-    and the strategy's mixture; the same seed gives the same episodes as the ``TorchRLCollector``,
-    up to floating-point rounding. Arguments and data are those of ``EpisodeCollector``.
+    It compiles the environment's kernel, the supported transforms, the policy and the strategy's
+    mixture. With the same seed it gives the same episodes as ``TorchRLCollector``, up to
+    floating-point rounding. Arguments and data: see ``EpisodeCollector``.
 
     Raises:
-        NotCompilableError: with the reason, if the environment has no kernel, or a wrapper,
-            transform, policy or strategy is not of a kind that the loop knows.
+        NotCompilableError: if the environment has no kernel, or a wrapper, transform, policy or
+            strategy is not supported; the message gives the reason.
     """
 
     parallel = True
@@ -71,7 +71,10 @@ class FusedCollector(EpisodeCollector):
         self.kernel, self.network, self._parameters = compilable(env, policy)
         if self.episodes_per_update > 1 and self.strategy.per_episode:
             name = type(self.strategy).__name__
-            raise NotCompilableError(f"{name} prepares for every episode, and there are several")
+            raise NotCompilableError(
+                f"{name} prepares each episode separately, which needs episodes_per_update=1, "
+                f"not {self.episodes_per_update}"
+            )
         masked = has_mask(env)
         self._loop = compile_loop(self.kernel, self.network, masked)
         self._columns = Columns(self.kernel.n_features, self.kernel.n_actions if masked else 0)
@@ -104,12 +107,12 @@ class FusedCollector(EpisodeCollector):
     def shutdown(
         self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True
     ) -> None:
-        """Close the environment, and let go of the memory for frames."""
+        """Close the environment and free the memory for frames."""
         super().shutdown(timeout, close_env, raise_on_error)
         self._columns = Columns(0)
 
     def _context(self) -> tuple[Any, ...]:
-        """What the loop is told of the policy, the strategy and the random streams."""
+        """The loop's arguments for the policy, the strategy and the random streams."""
         explore = self.exploration_type == ExplorationType.RANDOM
         strategy = cast(MixtureStrategy, self.strategy)
         acting = strategy.behaviour_parameters(self._parameters) if explore else self._parameters
@@ -123,8 +126,8 @@ class FusedCollector(EpisodeCollector):
         )
 
     def _mixture(self) -> NDArray[np.float64]:
-        """Weights and temperature [4, 1], or [4, trials] where they differ between trials."""
-        # Compiled code would read beside an array that is too short.
+        """Weights and temperature [4, 1], or [4, trials] if they differ between trials."""
+        # Compiled code does not check bounds, so the shape is validated here.
         point = cast(MixtureStrategy, self.strategy).checked_mixture(self.trials)
         if all(isinstance(value, float) for value in point):
             return np.array(point).reshape(4, 1)
@@ -132,29 +135,31 @@ class FusedCollector(EpisodeCollector):
 
 
 def has_mask(env: TransformedEnv) -> bool:
-    """Whether an environment says which actions are allowed."""
+    """Whether an environment has action masks."""
     return env.observation_spec.get("action_mask", None) is not None
 
 
 def compilable(
     env: TransformedEnv, policy: TensorDictSequential
 ) -> tuple[Kernel, Network, list[nn.Parameter]]:
-    """The kernel that serves an environment, and the policy's code and parameters.
+    """The kernel of an environment, and the network and parameters of a policy.
 
     Raises:
-        NotCompilableError: with the reason.
+        NotCompilableError: with the reason, if one of them is not supported.
     """
     lane = lane_env(env).envs[0]
     while isinstance(lane, gym.Wrapper):
         if type(lane) not in WRAPPERS:
-            raise NotCompilableError(f"the wrapper {type(lane).__name__} is not known to it")
+            raise NotCompilableError(f"it does not support the wrapper {type(lane).__name__}")
         lane = lane.env
     for transform in cast(Iterable[Transform], env.transform or ()):
         if type(transform) not in TRANSFORMS:
-            raise NotCompilableError(f"the transform {type(transform).__name__} is not known to it")
+            raise NotCompilableError(
+                f"it does not support the transform {type(transform).__name__}"
+            )
     served = network_of(policy[0], one_hot=is_one_hot(env)) if len(policy) == 2 else None
     if served is None:
-        raise NotCompilableError(f"the policy {_names(policy)} is not known to it")
+        raise NotCompilableError(f"it does not support the policy {_names(policy)}")
     check_strategy(policy[1])
     try:
         kernel = kernel_of(lane)
@@ -167,17 +172,17 @@ def compilable(
 
 
 def _names(policy: TensorDictSequential) -> str:
-    """The modules before the strategy."""
+    """The class names of the modules before the strategy."""
     return ", ".join(type(module).__name__ for module in policy.module[:-1])
 
 
 def check_sizes(
     env: TransformedEnv, kernel: Kernel, network: Network, parameters: list[nn.Parameter]
 ) -> None:
-    """Compiled code reads beside an array that is too short: compare all sizes before.
+    """Compiled code does not check bounds, so all sizes are validated here.
 
     Raises:
-        NotCompilableError: with those that differ.
+        NotCompilableError: with the sizes that differ.
     """
     sizes = (kernel.n_actions, kernel.n_features)
     lanes = lane_env(env)
@@ -185,23 +190,24 @@ def check_sizes(
     served = (n_actions, *(lanes.single_observation_space.shape or ()))
     if served != sizes:
         raise NotCompilableError(
-            f"the kernel is made for (actions, features) {sizes}, not {served}"
+            f"the kernel has (actions, features) {sizes}, but the environment has {served}"
         )
     first = parameters[0]
     if (network.sizes[-1], network.sizes[0]) != sizes or len(first) != lanes.num_envs:
         raise NotCompilableError(
-            f"the weights are {list(first.shape)} for (trials, actions, features) "
+            f"the weights have shape {list(first.shape)}, but (trials, actions, features) are "
             f"{(lanes.num_envs, *sizes)}"
         )
     for parameter in parameters:
         if parameter.dtype != torch.float32 or not parameter.is_cpu:
             raise NotCompilableError(
-                f"the weights are {parameter.dtype} on {parameter.device}, not torch.float32 on cpu"
+                "the weights must be torch.float32 on cpu, "
+                f"got {parameter.dtype} on {parameter.device}"
             )
 
 
 def check_strategy(strategy: Any) -> None:
-    """Refuse a strategy that does more than its mixture says.
+    """Reject a strategy that its mixture does not describe completely.
 
     Raises:
         NotCompilableError: with the reason.
@@ -211,9 +217,9 @@ def check_strategy(strategy: Any) -> None:
         raise NotCompilableError(f"{name} is not a mixture of argmax, softmax and uniform")
     if not strategy.compilable:
         raise NotCompilableError(
-            f"{name} changes one of {', '.join(MixtureStrategy.REPLACED)}, "
+            f"{name} overrides one of {', '.join(MixtureStrategy.REPLACED)} "
             "and does not declare itself compilable"
         )
     keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
     if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
-        raise NotCompilableError(f"{name} has a one-hot action or renamed entries")
+        raise NotCompilableError(f"{name} has one-hot actions or renamed entries")

@@ -1,4 +1,4 @@
-"""The memory that compiled episodes are written to, kept from call to call."""
+"""The memory for compiled episodes, reused from call to call."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ NEXT = ("reward", "done", "terminated", "truncated", "step_count", "episode_rewa
 
 
 class Columns:
-    """Flat arrays for frames, which grow as needed.
+    """Flat arrays of frames that grow as needed.
 
     Attributes:
-        arrays: the columns, in the order of ``ROOT`` without the mask, ``NEXT``, and the mask; of
-            observation and mask, the rows one after the other.
-        capacity: the number of frames that there is room for.
+        arrays: the columns in the order of ``ROOT`` without the mask, ``NEXT``, and the mask;
+            observation and mask are flattened row by row.
+        capacity: the number of frames that fit.
     """
 
     def __init__(self, n_features: int, n_masks: int = 0) -> None:
@@ -40,7 +40,7 @@ class Columns:
         self.arrays: tuple[NDArray[Any], ...] = ()
 
     def reserve(self, frames: int, keep: int = 0) -> None:
-        """Make room for so many frames; the first ``keep`` frames stay as they are."""
+        """Make room for ``frames`` frames, and keep the first ``keep`` of those present."""
         if frames <= self.capacity:
             return
         grown = tuple(np.empty(frames * size, dtype) for _, size, dtype in self._kinds)

@@ -1,4 +1,8 @@
-"""The lanes of the episode loop: on the stack, and ever fewer until others take their places."""
+"""The SIMD lanes of the episode loop: arrays on the stack whose last dimension is the lane.
+
+In this package a lane is such a column, which runs one episode after another; elsewhere, a lane is
+the place of a trial in a batch (dimension 0).
+"""
 
 # numba rewrites signatures:
 # pyright: reportCallIssue=false, reportAttributeAccessIssue=false
@@ -14,25 +18,25 @@ from trl_explore.numerics.compiled.arrays import one_by_one
 from trl_explore.numerics.compiled.philox import philox_block, to_unit
 
 LANES = 64
-"""How many episodes are stepped side by side."""
+"""The number of episodes stepped side by side."""
 
 _ZERO, _ONE = np.uint64(0), np.uint64(1)
 
 part = nb.njit(inline="always", nogil=True, error_model="numpy")
-"""Decorator of a part of the loop: what it knows of the lanes, the part must know, too."""
+"""Decorator of a part of the loop: always inlined, so that the compiler sees the lanes' arrays."""
 
 
 class Lanes(NamedTuple):
-    """What a step of an episode reads and writes, lane by lane [..., LANES]; on the stack."""
+    """Everything that a step of an episode reads and writes, [..., LANES], on the stack."""
 
     state: Any
-    """Of the kernel [state_size]."""
+    """State of the kernel [state_size]."""
     rng: Any
-    """The stream of the environment [STATE_SIZE]."""
+    """Random stream of the environment [STATE_SIZE]."""
     noise: Any
-    """Uniform numbers for the actions of four steps [4]."""
+    """Action noise of four steps, uniform in [0, 1) [4]."""
     point: Any
-    """Weights of argmax, softmax and uniform, and temperature [4]."""
+    """Mixture weights of argmax, softmax and uniform, and temperature [4]."""
     local: Any
     """Weights of the policy [network.local]."""
     x: Any
@@ -40,34 +44,34 @@ class Lanes(NamedTuple):
     probs: Any
     """Logits, then μ [n_actions]."""
     work: Any
-    """[n_actions]."""
+    """Work space [n_actions]."""
     place: Any
-    """What belongs to the episode, by the constants below [6]."""
+    """Indices of the episode, see the constants below [6]."""
     value: Any
     """Reward, sum of rewards, and μ(action) [3]."""
     over: Any
     """Whether the episode has terminated []."""
 
 
-SLOT, SEAT, ROW, ACTION, FRAME, END = range(6)
-"""In ``Lanes.place``: the episode's slot in the scratch, the place of its policy's weights, the row
-of its trial, its action, and where in the scratch its frame is, and its last one may be."""
+SLOT, WEIGHT_SLOT, ROW, ACTION, FRAME, END = range(6)
+"""In ``Lanes.place``: the episode's slot in the scratch, the slot of its policy's weights, the row
+of its trial, its action, its present frame in the scratch, and the end of its part there."""
 
 
 @part
 def clear(lanes):
-    """Give every lane a seat, and to those that are computed before they are used a number."""
+    """Assign each lane a weight slot; initialise the buffers that are read before written."""
     lanes.x[:] = 0
     lanes.local[:] = 0
     lanes.point[:] = 1
     lanes.noise[:] = 0
     for j in range(LANES):
-        lanes.place[SEAT, j] = j
+        lanes.place[WEIGHT_SLOT, j] = j
 
 
 @part
 def draw_noise(left, max_steps, episodes, first_trial, action_key, lanes):
-    """The action noise of the next four steps, from each trial's own stream."""
+    """Draw the action noise of the next four steps from each trial's stream."""
     for j in range(left):
         slot = lanes.place[SLOT, j]
         t = lanes.place[FRAME, j] - slot * max_steps
@@ -77,19 +81,19 @@ def draw_noise(left, max_steps, episodes, first_trial, action_key, lanes):
         )  # fmt: skip
         for i in range(4):
             lanes.noise[i, j] = to_unit(words[i])
-        one_by_one()  # 64-bit products are not for vectors
+        one_by_one()  # vectorising 64-bit products does not pay
 
 
 @part
 def retire(left, max_steps, scratch, lanes):
-    """End the episodes that are at their end; the last lanes take their places."""
+    """Remove the lanes whose episode has ended; the last lanes move to their places."""
     j = 0
     while j < left:
         frame = lanes.place[FRAME, j]
         if not lanes.over[j] and frame < lanes.place[END, j]:
             j += 1
             continue
-        slot, seat = lanes.place[SLOT, j], lanes.place[SEAT, j]
+        slot, weight_slot = lanes.place[SLOT, j], lanes.place[WEIGHT_SLOT, j]
         scratch.steps[slot], scratch.ended[slot] = frame - slot * max_steps, lanes.over[j]
         left -= 1
         lanes.over[j] = lanes.over[left]
@@ -105,5 +109,5 @@ def retire(left, max_steps, scratch, lanes):
             lanes.rng[i, j] = lanes.rng[i, left]
         for i in range(lanes.local.shape[0]):
             lanes.local[i, j] = lanes.local[i, left]
-        lanes.place[SEAT, left] = seat
+        lanes.place[WEIGHT_SLOT, left] = weight_slot
     return left

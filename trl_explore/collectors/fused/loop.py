@@ -1,12 +1,12 @@
-"""Whole episodes in machine code: environment, policy and mixture strategy in one.
+"""Whole episodes in machine code: environment, policy and mixture strategy in one loop.
 
-Each operation is that of the TorchRL collector, in the same order and precision: states in
+The operations are those of the TorchRL collector, in the same order and precision: states in
 float64, observations, logits and probabilities in float32, the inverse CDF in float64.
 
-Episodes of many trials are stepped side by side, each in a lane. What a step reads and writes lies
-lane by lane on the stack, so that a loop over lanes becomes vector instructions where the kernel,
-the policy and the strategy neither branch nor call. Frames go to the scratch of the group, from
-where whole episodes go to the data, in order of trials.
+Episodes of many trials are stepped side by side, each in a SIMD lane. All that a step reads and
+writes is on the stack, with the lane as the last dimension, so that a loop over lanes becomes
+vector instructions if kernel, policy and strategy neither branch nor call. Frames are written to
+the group's scratch; whole episodes are copied from there to the data, in order of trials.
 """
 
 # numba rewrites signatures:
@@ -30,8 +30,8 @@ from trl_explore.collectors.fused.lanes import (  # fmt: skip
     FRAME,
     LANES,
     ROW,
-    SEAT,
     SLOT,
+    WEIGHT_SLOT,
     Lanes,
     clear,
     draw_noise,
@@ -51,30 +51,36 @@ INLINED = (
     *(lanes_module, scratch_module, mixing, networks),
     *(arrays, elementary, layers, philox),
 )
-"""The modules that are compiled into the loop, besides this one and the kernel's own."""
+"""The modules compiled into the loop, besides this one and the kernel's."""
 
 
 def compile_loop(
     kernel: Kernel, network: Network, masked: bool = False
 ) -> Callable[..., tuple[int, int]]:
-    """The episode loop around a kernel and a policy; compiled when first called, or from disk.
+    """The episode loop for a kernel and a policy; compiled on the first call, or read from disk.
 
     The function returned has the signature
 
         loop(parameters, trials, episodes, first_trial, env_key, action_key, weights, mixture,
              explore, memory, columns, score, length, done, place) -> (done, place)
 
-    with trials and episodes [m] int64 (rows of the weights and the numbers of their episodes),
-    weights of ``networks.arrays``, mixture [4, 1 or *] float64 (greedy, softmax, uniform,
-    temperature), explore whether to draw actions or to take the first of largest logit, memory of
-    ``scratch.scratch``, and columns the arrays of ``columns.Columns``. It runs the episodes from
-    number ``done`` on, writes their frames from frame ``place`` on, and their outcomes to score
-    [m] float64 and length [m] int64. It stops before a group of episodes that does not fit.
+    with
+
+        trials, episodes   [m] int64, rows of the weights and numbers of their episodes
+        weights            from ``networks.arrays``
+        mixture            [4, 1 or *] float64: greedy, softmax, uniform, temperature
+        explore            whether to draw actions; if not, the first action of largest logit
+        memory             from ``scratch.scratch``
+        columns            ``columns.Columns.arrays``
+
+    It runs the episodes from index ``done`` on, writes their frames from frame ``place`` on, and
+    their outcomes to score [m] float64 and length [m] int64. It stops before a group of episodes
+    that does not fit.
 
     Args:
         kernel: the environment.
         network: the policy.
-        masked: whether the kernel's action masks are obeyed, and written to the columns.
+        masked: whether to apply the kernel's action masks and write them to the columns.
     """
     functions = (kernel.reset, kernel.step, kernel.observe, kernel.mask if masked else None)
     return _compile(*functions, kernel.state_size, network, kernel.digest)
@@ -103,26 +109,26 @@ def _compile(  # noqa: C901 - the parts of one compiled function
 
     @part
     def begin_episode(j, slot, row, max_steps, parameters, weights, mixture, scratch, lanes):
-        """Reset the environment of lane j, whose stream has begun, and load its weights."""
+        """Reset the environment of lane j, whose stream has been set, and load its weights."""
         reset(parameters, lane(lanes.state, j), lane(lanes.rng, j))
-        load(weights, row, lane(lanes.local, j), scratch.own, lanes.place[SEAT, j])
+        load(weights, row, lane(lanes.local, j), scratch.own, lanes.place[WEIGHT_SLOT, j])
         load_point(mixture, row if mixture.shape[1] > 1 else 0, lane(lanes.point, j))
         lanes.place[SLOT, j], lanes.place[ROW, j], lanes.value[1, j] = slot, row, 0
         lanes.place[FRAME, j], lanes.place[END, j] = slot * max_steps, (slot + 1) * max_steps
 
     @part
     def act(t, left, parameters, weights, explore, scratch, lanes):
-        """Observe, and choose an action, in every lane."""
+        """Observe and choose an action in every lane."""
         if narrow:
             for j in range(left):
                 observe(parameters, lane(lanes.state, j), x_of(scratch, lanes, j))
-        full = (left + 7) & ~7 if narrow else left  # whole vectors, of lanes that may have ended
+        full = (left + 7) & ~7 if narrow else left  # whole vectors; surplus lanes are ignored
         for j in range(full):
             x, probs, local = x_of(scratch, lanes, j), lane(lanes.probs, j), lane(lanes.local, j)
-            row, seat = lanes.place[ROW, j], lanes.place[SEAT, j]
-            if not narrow:  # it is long, and read while it is in the cache
+            row, weight_slot = lanes.place[ROW, j], lanes.place[WEIGHT_SLOT, j]
+            if not narrow:  # a long observation is read while it is in the cache
                 observe(parameters, lane(lanes.state, j), x)
-            logits(weights, row, local, scratch.own, seat, scratch.hidden, x, probs)
+            logits(weights, row, local, scratch.own, weight_slot, scratch.hidden, x, probs)
             legal(parameters, lane(lanes.state, j), scratch, lanes, j, probs)
         if explore:
             for j in range(full):
@@ -137,7 +143,7 @@ def _compile(  # noqa: C901 - the parts of one compiled function
 
     @part
     def advance(left, parameters, lanes):
-        """Step every lane; returns how many episodes are at their end."""
+        """Step every lane; returns the number of episodes that have ended."""
         count = 0
         for j in range(left):
             reward, terminal = step(
@@ -152,14 +158,14 @@ def _compile(  # noqa: C901 - the parts of one compiled function
 
     @part
     def keep(left, scratch, lanes):
-        """Write a frame of every lane to the scratch of its episode."""
+        """Write the frame of every lane to the scratch of its episode."""
         frames = borrow(scratch.frames)
         for j in range(left):
             start = lanes.place[FRAME, j] * record
             frame = frames[start : start + record]
             for k in range(3):
                 frame[k] = lanes.value[k, j]
-            frame[3] = lanes.place[ACTION, j]  # float32 holds whole numbers up to 2^24
+            frame[3] = lanes.place[ACTION, j]  # float32 is exact up to 2^24
             for k in range(4, record):
                 frame[k] = lanes.x[k - 4, j]
         for j in range(left):
@@ -170,7 +176,7 @@ def _compile(  # noqa: C901 - the parts of one compiled function
         explore, memory, columns, score, length, done, place,
     ):  # fmt: skip
         arrays, width, max_steps = memory
-        # The argument is no named tuple: numba could not read its cache once the class has moved.
+        # Not passed as a named tuple: numba cannot read its cache after the class has moved.
         scratch = Scratch(*arrays)
         lanes = Lanes(
             state_lanes(), rng_lanes(), noise_lanes(), point_lanes(), local_lanes(), x_lanes(),
@@ -216,12 +222,12 @@ def _compile(  # noqa: C901 - the parts of one compiled function
 
 @part
 def _x_of_lane(scratch, lanes, j):
-    """Where a narrow observation is kept."""
+    """The place of a narrow observation."""
     return lane(lanes.x, j)
 
 
 def _compile_x(n_features: int) -> Any:
-    """The function that says where an observation of lane j is kept that is not narrow."""
+    """The function that gives the place of lane j's observation if it is not narrow."""
 
     @part
     def x_in_scratch(scratch, lanes, j):
@@ -231,7 +237,7 @@ def _compile_x(n_features: int) -> Any:
 
 
 def _compile_mask(mask: Any, n_actions: int) -> Any:
-    """The function that asks which actions are legal, and gives the others the logit −∞."""
+    """The function that sets the logits of illegal actions to −∞."""
 
     @kernel_function
     def legal(parameters, state, scratch, lanes, j, logits):

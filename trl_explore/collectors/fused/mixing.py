@@ -1,6 +1,6 @@
-"""Mixture strategies in machine code, for the episode loop: from logits to μ, and to an action.
+"""Mixture strategies in machine code for the episode loop: from logits to μ to an action.
 
-Nothing here branches on data where there are two actions: see ``loop``.
+For two actions nothing here branches on data, so that it becomes vector instructions: see ``loop``.
 """
 
 # numba rewrites signatures:
@@ -21,7 +21,7 @@ _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 
 @kernel_function
 def load_point(mixture, column, point):
-    """Weights of argmax, softmax and uniform, and temperature, of one trial into ``point`` [4]."""
+    """Copy a trial's weights of argmax, softmax and uniform and temperature to ``point`` [4]."""
     for i in range(3):
         point[i] = mixture[i, column]
     point[3] = min(max(np.float32(mixture[3, column]), _TINY), _HUGE)
@@ -29,7 +29,7 @@ def load_point(mixture, column, point):
 
 @kernel_function
 def _mix_two(probs, work, point):
-    """For two actions, with one exponential."""
+    """``mix`` for two actions, with one exponential."""
     greedy, soft, uniform, temperature = point[0], point[1], point[2], point[3]
     first, second = probs[0], probs[1]
     d = (first - second) / temperature
@@ -47,13 +47,13 @@ def _mix_two(probs, work, point):
 
 
 def compile_mixing(n_actions: int) -> tuple[Any, Any, Any]:
-    """The functions of a mixture of ``n_actions`` actions, to be compiled into the loop.
+    """The functions of a mixture over ``n_actions`` actions, to be compiled into the loop.
 
-        mix(probs, work, point)    logits into μ, in place (``strategies.mixture_probs``)
+        mix(probs, work, point)    turns logits into μ in place (``strategies.mixture_probs``)
         draw(probs, u)             the action that ``u`` selects, and its probability
-        first_largest(logits)      the first of the largest logits
+        first_largest(logits)      the first action of largest logit
 
-    with ``point`` of ``load_point``. The number of actions is a constant in them.
+    with ``point`` from ``load_point``. The number of actions is a compile-time constant.
     """
     return _compile_mix(n_actions), _compile_draw(n_actions), _compile_first_largest(n_actions)
 
@@ -90,8 +90,8 @@ def _compile_draw(n: int) -> Any:
         for k in range(n):
             total += np.float64(probs[k])
         point = u * total
-        # Rounding may take the point to the end of the line: the last action is meant that has a
-        # probability, and none is drawn whose interval is empty.
+        # Rounding may put the point at the total: then take the last action of positive
+        # probability. An action whose interval is empty is never drawn.
         below, chosen, probability = 0.0, 0, probs[0]
         for k in range(1, n):
             below += np.float64(probs[k - 1])

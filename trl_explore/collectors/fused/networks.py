@@ -1,4 +1,4 @@
-"""Policies in machine code, for the episode loop: the arithmetic of their modules, in its order."""
+"""Policies in machine code for the episode loop: the same arithmetic as their torch modules."""
 
 # numba rewrites signatures:
 # pyright: reportCallIssue=false, reportAttributeAccessIssue=false
@@ -20,18 +20,18 @@ from trl_explore.policies import LaneLinear, LaneMLP, LinearPolicy, MLPPolicy, T
 from trl_explore.policies.policy import has_hooks
 
 CACHE_BYTES = 1 << 15
-"""The weights of a group of episodes should stay in the processor's first cache."""
+"""The weights of a group of episodes should stay in the processor's L1 cache."""
 LOCAL = 64
-"""Up to so many weights of a linear policy are kept lane by lane."""
+"""A linear policy of at most this many weights is kept in the SIMD lanes."""
 
 
 class Network(NamedTuple):
-    """What decides the machine code of a policy.
+    """Everything that the machine code of a policy depends on.
 
     Attributes:
         kind: "linear", "table" or "mlp".
         sizes: the numbers of inputs, hidden units and outputs.
-        activation: of the hidden units.
+        activation: the activation of the hidden units.
         bias: whether layers have biases.
     """
 
@@ -42,22 +42,22 @@ class Network(NamedTuple):
 
     @property
     def layers(self) -> list[tuple[int, int]]:
-        """Inputs and outputs of every layer that an episode keeps a copy of."""
+        """The (inputs, outputs) of every layer that is copied for each episode."""
         return list(pairwise(self.sizes)) if self.kind == "mlp" else []
 
     @property
     def local(self) -> int:
-        """How many weights every lane keeps beside its state: those of a small linear policy."""
+        """The number of weights kept in each SIMD lane: those of a small linear policy."""
         n_in, n_out = self.sizes[0], self.sizes[-1]
         return n_in * n_out if self.kind == "linear" and n_in * n_out <= LOCAL else 0
 
     def group(self) -> int:
-        """The weights of how many episodes fit into the cache."""
+        """The number of episodes whose weights fit into the cache."""
         own = sum(4 * n_out * (n_in + self.bias) for n_in, n_out in self.layers)
         return max(1, CACHE_BYTES // max(1, own))
 
     def memory(self, n: int) -> tuple[Any, ...]:
-        """Room for the weights of n episodes, layer by layer, and for the hidden units of one."""
+        """Memory for the weights of n episodes, by layer, and for the hidden units of one."""
         own = tuple(_room(n, *layer, self.bias) for layer in self.layers)
         return own, np.empty((2, max(self.sizes)), dtype=np.float32)
 
@@ -70,11 +70,11 @@ def _room(n: int, n_in: int, n_out: int, bias: bool) -> Any:
 def network_of(
     policy: TensorDictModuleBase, *, one_hot: bool = False
 ) -> tuple[Network, list[nn.Parameter]] | None:
-    """What the loop must know of a policy, and its parameters; None if it cannot serve it.
+    """The network of a policy, and its parameters; None if the loop does not support it.
 
     Args:
         policy: the policy.
-        one_hot: whether observations are one-hot: W x is then a column of W.
+        one_hot: whether observations are one-hot, so that W x is a column of W.
     """
     module = cast(Any, getattr(policy, "module", None))
     if has_hooks(policy):
@@ -95,7 +95,7 @@ def network_of(
 
 
 def arrays(network: Network, parameters: Sequence[Tensor]) -> Any:
-    """The parameters as the compiled functions take them."""
+    """The parameters in the form that the compiled functions take."""
     values = [parameter.detach().contiguous().numpy() for parameter in parameters]
     if network.kind != "mlp":
         return values[0]
@@ -106,11 +106,11 @@ def arrays(network: Network, parameters: Sequence[Tensor]) -> Any:
 def compile_network(network: Network) -> tuple[Any, Any]:
     """The functions of a policy, to be compiled into the loop.
 
-        load(parameters, row, local, own, slot)        before an episode of trial ``row``
-        logits(parameters, row, local, own, slot, hidden, x, out)   of observation x, into ``out``
+        load(parameters, row, local, own, slot)   is called before an episode of trial ``row``
+        logits(parameters, row, local, own, slot, hidden, x, out)   maps observation x to ``out``
 
-    with ``parameters`` of ``arrays``, ``local`` [network.local] the weights that a lane keeps, and
-    ``own`` and ``hidden`` of ``Network.memory``, in which the episode's place is ``slot``.
+    with ``parameters`` from ``arrays``, ``local`` [network.local] the weights kept in the SIMD
+    lane, ``own`` and ``hidden`` from ``Network.memory``, and ``slot`` the episode's weight slot.
     """
     if network.kind == "mlp":
         return _mlp(network)
@@ -122,7 +122,7 @@ def compile_network(network: Network) -> tuple[Any, Any]:
 
 @kernel_function
 def _nothing(parameters, row, local, own, slot):
-    """The policy reads the parameters themselves."""
+    """Nothing to load: the policy reads the parameters directly."""
 
 
 def _local(n_features: int, n_actions: int) -> tuple[Any, Any]:
@@ -183,11 +183,11 @@ def _mlp(network: Network) -> tuple[Any, Any]:
 
 @kernel_function
 def _nowhere(parameters, row, local, own, slot, hidden, x, out):
-    """What comes before the first layer."""
+    """Nothing precedes the first layer."""
 
 
 def _load(before: Any, i: int, n_in: int, n_out: int, bias: bool) -> Any:
-    """Copy layer i behind those ``before``: by inputs where outputs are taken side by side."""
+    """Copy layer i after the layers ``before``; transposed if outputs are computed as vectors."""
     wide = n_out >= WIDE
 
     @kernel_function
@@ -212,7 +212,7 @@ def _load(before: Any, i: int, n_in: int, n_out: int, bias: bool) -> Any:
 
 
 def _layer(i: int, n_in: int, n_out: int, bias: bool) -> Any:
-    """The affine map of layer i (``ops.lane_linear``)."""
+    """The affine map of layer i (``numerics.layers.lane_linear``)."""
 
     @kernel_function
     def wide(own, slot, x, out):
@@ -235,7 +235,7 @@ def _layer(i: int, n_in: int, n_out: int, bias: bool) -> Any:
 
 
 def _chain(before: Any, layer: Any, i: int, n_out: int, phi: Any, is_last: bool) -> Any:
-    """The layers ``before``, and layer i with its activation."""
+    """The layers ``before``, then layer i with its activation."""
     source, target = (i + 1) % 2, i % 2
     take, give = _input if i == 0 else _hidden, _output if is_last else _hidden
 

@@ -1,4 +1,4 @@
-"""The frames of a group of episodes while they run, from where whole episodes go to the data."""
+"""Buffers for the frames of a group of running episodes; whole episodes are copied to the data."""
 
 # numba rewrites signatures:
 # pyright: reportCallIssue=false, reportAttributeAccessIssue=false
@@ -18,38 +18,38 @@ from trl_explore.numerics.compiled.cache import kernel_function
 from trl_explore.numerics.compiled.elementary import log32
 
 GROUP = 2 * LANES
-"""How many episodes follow each other through the lanes before they go to the data."""
+"""The number of episodes that run in the SIMD lanes before they are copied to the data."""
 NARROW = 8
-"""Up to so many features an observation is kept lane by lane."""
+"""An observation of at most this many features is kept in the SIMD lanes."""
 SCRATCH_BYTES = 1 << 22
 """The scratch of a group should stay in the processor's cache."""
 
 
 class Scratch(NamedTuple):
-    """The frames of a group of episodes, each in its slot, and room for their policies."""
+    """The frames of a group of episodes, each in its slot, and memory for their policies."""
 
     frames: NDArray[np.float32]
-    """Reward, sum of rewards, μ(action), action, and a narrow observation, frame by frame
+    """Per frame: reward, sum of rewards, μ(action), action, and the observation if it is narrow
     [slots * max_steps * (4 + n_features or 0)]."""
     observation: NDArray[np.float32]
-    """[slots * max_steps * n_features]; empty where it is narrow."""
+    """[slots * max_steps * n_features]; empty if the observation is narrow."""
     allowed: NDArray[np.bool_]
-    """Action mask [slots * max_steps * n_actions]; empty without."""
+    """Action mask [slots * max_steps * n_actions]; empty if there is none."""
     steps: NDArray[np.int64]
     """The number of frames [slots]."""
     ended: NDArray[np.bool_]
-    """Whether the last one terminated [slots]."""
+    """Whether the last frame terminated the episode [slots]."""
     own: Any
-    """``own`` and ``hidden`` of ``Network.memory``; as many seats as there are lanes."""
+    """``own`` and ``hidden`` of ``Network.memory``, with one weight slot per SIMD lane."""
     hidden: NDArray[np.float32]
 
 
 def scratch(
     kernel: Kernel, network: Network, max_steps: int, masked: bool, episodes: int = GROUP
 ) -> tuple[tuple[Any, ...], int, int]:
-    """The fields of a ``Scratch`` for at most ``episodes``, the number of lanes, and ``max_steps``.
+    """The fields of a ``Scratch`` for at most ``episodes``, the number of lanes and ``max_steps``.
 
-    What is not used of it costs nothing.
+    The operating system provides memory on first use, so unused parts cost nothing.
     """
     n_masks = kernel.n_actions if masked else 0
     per_frame = 4 * (4 + kernel.n_features) + n_masks
@@ -71,23 +71,21 @@ def scratch(
 
 
 def is_narrow(network: Network, masked: bool) -> bool:
-    """Whether an observation is kept lane by lane; longer ones go to the scratch at once."""
+    """Whether an observation is kept in the SIMD lanes; others are written to the scratch."""
     return network.sizes[0] <= NARROW and network.local > 0 and not masked
 
 
 @kernel_function
 def row_of(frames, lanes, j, size):
-    """The part of a column of the scratch, ``size`` for each frame, that is lane j's frame."""
+    """The frame of lane j in a column of the scratch that has ``size`` entries per frame."""
     start = lanes.place[FRAME, j] * size
     return borrow(frames)[start : start + size]
 
 
 def compile_deliver(record: int, narrow: bool, n_features: int, n_masks: int) -> Any:
-    """The function that writes the episode in a slot to the frames of the data from ``start`` on.
+    """The function that copies the episode in a slot to the data, from frame ``start`` on.
 
-    It returns the episode's score.
-
-    One loop for each column, or two that go together, becomes vector instructions.
+    It returns the episode's score. Separate loops over the columns become vector instructions.
     """
 
     @kernel_function
@@ -131,7 +129,7 @@ def compile_deliver(record: int, narrow: bool, n_features: int, n_masks: int) ->
 
 @kernel_function
 def copy(source, target, first, start, n, size):
-    """Copy n frames of the scratch from ``first`` on to a column from ``start`` on."""
+    """Copy n frames of the scratch, from ``first`` on, to a column, from ``start`` on."""
     of = borrow(source)[first * size : (first + n) * size]
     to = borrow(target)[start * size : (start + n) * size]
     for i in range(len(to)):

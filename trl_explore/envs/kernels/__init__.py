@@ -1,7 +1,7 @@
-"""Compiled dynamics of well-known environments, each tested against gymnasium.
+"""Compiled dynamics of standard environments, each tested against gymnasium.
 
-An environment of your own takes three functions and a maker, in any module that is imported
-before the collector is built. For a corridor in which the floor is slippery:
+To add an environment, write three functions and a builder, in any module that is imported before
+the collector is built. For a corridor with a slippery floor:
 
     from trl_explore.envs.kernels import Kernel, kernel_function, random, register_kernel
 
@@ -24,32 +24,33 @@ before the collector is built. For a corridor in which the floor is slippery:
     def corridor(env):
         return Kernel(reset, step, observe, (env.length,), state_size=1, n_features=2, n_actions=2)
 
-    check_kernel(Corridor(length=9))  # side by side with gymnasium, transition by transition
+    check_kernel(Corridor(length=9))  # compare with gymnasium, transition by transition
 
-What the functions are given and owe:
+The contract of the functions:
 
-* ``state`` is a float64 array [state_size]; whole numbers keep their value in it:
-  ``int(state[0])``. Take it and ``observation`` element by element: in the loop their numbers do
-  not lie side by side, so that ``reshape`` and ``view`` do not compile.
-* ``action`` is an integer in [0, n_actions); ``step`` returns the reward (a float) and whether the
-  episode has *terminated*; time limits are the collector's business, and the environment must have
-  one (``max_episode_steps``).
-* ``observe`` fills the float32 vector that the policy sees: a Box flattened, a Discrete one-hot.
-* ``rng`` is the episode's stream. Draw what the environment draws, in the same order:
-  ``np_random.random()`` is ``random(rng)``, ``np_random.uniform(a, b)`` is
-  ``a + (b - a) * random(rng)``, each number of a vector one call, in order. There is no
-  counterpart to ``integers``, ``choice`` and ``normal``, which consume the stream otherwise.
-* All that depends on the instance goes through ``parameters``, a tuple of numbers and arrays.
-  Functions that close over values are refused. They may call further functions decorated with
-  ``kernel_function``, also from other files.
-* Where the environment gives ``info["action_mask"]``, a fourth function
-  ``mask(parameters, state, mask)`` fills a bool array [n_actions]: ``Kernel(..., mask=mask)``.
-* An environment that is a table ``P[state][action]`` of outcomes needs no functions of its own:
+* ``state`` is a float64 array [state_size]; integers are exact in it: ``int(state[0])``. Access it
+  and ``observation`` element by element: in the loop they are not contiguous, so ``reshape`` and
+  ``view`` do not compile.
+* ``action`` is an integer in [0, n_actions). ``step`` returns the reward (a float) and whether the
+  episode has *terminated*. The collector applies the time limit, which the environment must have
+  (``max_episode_steps``).
+* ``observe`` fills the float32 vector that the policy gets: a Box flattened, a Discrete one-hot.
+* ``rng`` is the episode's random stream. Draw the same numbers as the environment, in the same
+  order: ``np_random.random()`` is ``random(rng)``, ``np_random.uniform(a, b)`` is
+  ``a + (b - a) * random(rng)``; a vector takes one call per element, in order. ``integers``,
+  ``choice`` and ``normal`` have no counterpart: they consume the stream differently.
+* All that depends on the instance goes into ``parameters``, a tuple of numbers and arrays.
+  Closures are rejected. Functions may call others decorated with ``kernel_function``, also from
+  other files.
+* If the environment returns ``info["action_mask"]``, add a fourth function
+  ``mask(parameters, state, mask)`` that fills a bool array [n_actions]: ``Kernel(..., mask=mask)``.
+* For an environment with a table ``P[state][action]`` of outcomes, write no functions, but call
   ``tabular(env.P, env.initial_state_distrib)``.
-* Dozens of episodes are stepped side by side. Where ``step`` and ``observe`` neither branch nor
-  call a library, the loop over them becomes vector instructions, several times as fast
-  (``a if c else b`` of two numbers is no branch; ``elementary.cos_sin`` serves for |x| <= 0.85).
-* The maker may refuse an instance with ``LookupError("why")``; the TorchRL collector then serves.
+* Dozens of episodes are stepped side by side. If ``step`` and ``observe`` neither branch nor call
+  a library, the loop over them is vectorised and several times faster (``a if c else b`` of two
+  numbers is not a branch; for |x| <= 0.85 use ``elementary.cos_sin``).
+* The builder may reject an instance with ``LookupError("reason")``; ``collector=auto`` then uses
+  the TorchRL collector.
 """
 
 from trl_explore.envs.kernels import acrobot, cartpole, mountain_car, toy_text

@@ -1,6 +1,6 @@
-"""Acrobot (Sutton 1996), as gymnasium writes it, operation by operation.
+"""Acrobot (Sutton 1996) with the same floating-point operations as gymnasium's.
 
-A double pendulum is chaotic: one bit in one step is another motion some hundred steps later.
+A double pendulum is chaotic: a difference of one bit changes the motion some hundred steps later.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ def reset(parameters, state, rng):
 
 @kernel_function
 def derivative(constants, two, torque, theta1, theta2, dtheta1, dtheta2):
-    """The accelerations θ̈₁, θ̈₂ under a torque on the joint between the links.
+    """The accelerations θ̈₁, θ̈₂ for a torque on the joint between the links.
 
-    ``two`` is the number 2, in a variable: gymnasium's ``** 2`` is the library's ``pow``, which
-    rounds otherwise than a product in one case of a thousand, and is left alone only so.
+    ``two`` is 2. As a variable it keeps the compiler from replacing ``pow``, which gymnasium's
+    ``** 2`` calls, by a product, which rounds differently in one case of a thousand.
     """
     (m1lc1, lengths, coupling, inertia, m2, lc2_lc2, l1lc2, coriolis, twice, weight1, weight2,
      own_inertia, nips) = constants  # fmt: skip
@@ -54,7 +54,7 @@ def derivative(constants, two, torque, theta1, theta2, dtheta1, dtheta2):
 
 @kernel_function
 def wrap(angle):
-    """An angle within [−π, π]."""
+    """The angle wrapped to [−π, π]."""
     while angle > math.pi:
         angle = angle - 2 * math.pi
     while angle < -math.pi:
@@ -92,7 +92,7 @@ def step(parameters, state, action, rng):
 
 @kernel_function
 def observe(parameters, state, observation):
-    """Cosine and sine of both angles, and the velocities; at reset in float32."""
+    """Cosine and sine of both angles, and the velocities; computed in float32 at reset."""
     for i in range(2):
         if state[4] == 1:
             angle = np.float32(state[i])

@@ -1,4 +1,4 @@
-"""CartPole (Barto, Sutton & Anderson 1983), as gymnasium writes it, operation by operation."""
+"""CartPole (Barto, Sutton & Anderson 1983) with the same operations as gymnasium's."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ def reset(parameters, state, rng):
 
 @kernel_function
 def step(parameters, state, action, rng):
-    """One step, where no episode goes on beyond |θ| of ``MAX_ANGLE``."""
+    """One step, if every episode ends before |θ| exceeds ``MAX_ANGLE``."""
     cos, sin = cos_sin(state[2])
     return advance(parameters, state, action, cos, sin)
 
 
 @kernel_function
 def step_at_any_angle(parameters, state, action, rng):
-    """One step."""
+    """One step, for any angle."""
     return advance(parameters, state, action, math.cos(state[2]), math.sin(state[2]))
 
 
 @kernel_function
 def advance(parameters, state, action, cos, sin):
-    """``tau`` seconds under a force of ±``force_mag``, sums in gymnasium's order."""
+    """Integrate ``tau`` seconds with a force of ±``force_mag``, with sums in gymnasium's order."""
     (gravity, masspole, total_mass, length, polemass_length, force_mag, tau,
      x_threshold, theta_threshold, euler, alive, fallen) = parameters  # fmt: skip
     x, x_dot, theta, theta_dot = state[0], state[1], state[2], state[3]

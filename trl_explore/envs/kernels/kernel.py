@@ -1,4 +1,4 @@
-"""What a compiled environment is, which exist, and how to hold one against gymnasium's."""
+"""Compiled environments: definition, registry, and comparison with gymnasium's."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ _NUMBER = (str, int, float, np.generic)
 class Kernel:
     """The dynamics of one environment as three compiled functions (``numba.njit``).
 
-    Together they must do what the gymnasium environment does, drawing the same random numbers
-    from ``rng`` by ``kernels.random(rng)`` in the same order as it calls ``np_random.random()``:
+    They must do the same as the gymnasium environment, and draw the same random numbers: one call
+    of ``kernels.random(rng)`` for each ``np_random.random()``, in the same order.
 
         reset(parameters, state, rng)                 begins an episode: fills ``state``
-        step(parameters, state, action, rng)          moves ``state``; returns reward, terminated
+        step(parameters, state, action, rng)          updates ``state``; returns reward, terminated
         observe(parameters, state, observation)       fills ``observation`` [n_features] float32
 
-    Time limits are the collector's business.
+    The collector applies time limits.
 
     Attributes:
         reset: see above.
         step: see above.
         observe: see above.
-        parameters: a tuple of numbers and arrays, what an instance of the environment was built
-            with; handed to each function as it is.
+        parameters: a tuple of numbers and arrays, the constants of an environment instance; passed
+            to each function unchanged.
         state_size: length of ``state``, a float64 array.
         n_features: length of an observation.
         n_actions: number of actions.
         mask: ``mask(parameters, state, mask)`` fills a bool array [n_actions], False where an
-            action is not allowed; None: all always are.
+            action is not allowed; None: all actions are always allowed.
     """
 
     reset: Function
@@ -69,13 +69,13 @@ class Kernel:
                 raise ValueError(f"{function} is not compiled; decorate it with kernel_function")
             if function.py_func.__closure__:
                 name = function.py_func.__qualname__
-                raise ValueError(f"{name} closes over values; hand them over as parameters")
+                raise ValueError(f"{name} closes over values; pass them in parameters")
 
     @property
     def digest(self) -> str:
-        """A fingerprint of what the functions are compiled from: source files and constants.
+        """A hash of the source files and constants that the functions are compiled from.
 
-        It decides which compiled code on disk may be used again.
+        It determines which compiled code on disk may be reused.
         """
         functions = self.functions
         files: set[str] = set()
@@ -115,9 +115,9 @@ _BUILDERS: dict[type[gym.Env], Callable[[Any], Kernel]] = {}
 def register_kernel(
     env_class: type[gym.Env],
 ) -> Callable[[Callable[[Any], Kernel]], Callable[[Any], Kernel]]:
-    """Decorator: declare a function as the maker of kernels for instances of ``env_class``.
+    """Decorator: register a function that builds the kernel of an instance of ``env_class``.
 
-    The function takes the (unwrapped) environment and reads from it what the kernel depends on.
+    The function takes the unwrapped environment and reads the kernel's parameters from it.
     """
 
     def register(builder: Callable[[Any], Kernel]) -> Callable[[Any], Kernel]:
@@ -128,10 +128,10 @@ def register_kernel(
 
 
 def kernel_of(env: gym.Env) -> Kernel:
-    """The kernel of an environment, as it was built.
+    """The kernel of an environment instance.
 
     Raises:
-        LookupError: if there is none, or it does not serve this instance; says why.
+        LookupError: with the reason, if there is none or it does not support this instance.
     """
     builder = _BUILDERS.get(type(env.unwrapped))
     if builder is None:
@@ -140,7 +140,7 @@ def kernel_of(env: gym.Env) -> Kernel:
 
 
 class CompiledEnv:
-    """A kernel driven by hand, as the collector drives it.
+    """A kernel that Python code can step, with the random streams of the collector.
 
     Args:
         kernel: the kernel.
@@ -165,7 +165,7 @@ class CompiledEnv:
         return self.observe(), reward, bool(terminated)
 
     def mask(self) -> NDArray[np.bool_] | None:
-        """Which actions are allowed in the present state [n_actions]; None if all always are."""
+        """The actions allowed in the current state [n_actions]; None if the kernel has no mask."""
         if self.kernel.mask is None:
             return None
         mask = np.ones(self.kernel.n_actions, dtype=np.bool_)
@@ -173,7 +173,7 @@ class CompiledEnv:
         return mask
 
     def observe(self) -> NDArray[np.float32]:
-        """The observation in the present state [n_features]."""
+        """The observation in the current state [n_features]."""
         observation = np.full(self.kernel.n_features, np.nan, dtype=np.float32)
         self.kernel.observe(self.kernel.parameters, self.state, observation)
         return observation
@@ -186,12 +186,12 @@ def check_kernel(
 
     Args:
         env: an instance of the environment, without wrappers that change it.
-        episodes: how many episodes to compare.
-        max_steps: after how many steps an episode is left.
+        episodes: the number of episodes to compare.
+        max_steps: the number of steps after which an episode is abandoned.
         seed: seed of streams and actions.
 
     Returns:
-        The number of transitions compared, and of episodes that terminated.
+        The number of transitions compared, and the number of episodes that terminated.
 
     Raises:
         AssertionError: at the first observation, mask, reward or termination that differs.

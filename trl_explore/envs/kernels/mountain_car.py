@@ -1,4 +1,4 @@
-"""MountainCar (Moore 1990), as gymnasium writes it, operation by operation."""
+"""MountainCar (Moore 1990) with the same floating-point operations as gymnasium's."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def reset(parameters, state, rng):
 
 @kernel_function
 def step(parameters, state, action, rng):
-    """One step: gravity along the slope, and a push to the left, none, or to the right."""
+    """One step: gravity along the slope, and a push to the left, no push, or one to the right."""
     (force, gravity, max_speed, min_position, max_position, goal_position, goal_velocity) = (
         parameters
     )

@@ -1,7 +1,7 @@
-"""Environments that are a table of transitions; the observation is the one-hot state.
+"""Environments with a table of transitions; the observation is the one-hot state.
 
-gymnasium's toy_text environments hold one: ``P[state][action]``, a list of outcomes (probability,
-next state, reward, terminated), and the distribution of the first state.
+gymnasium's toy_text environments have such a table: ``P[state][action]``, a list of outcomes
+(probability, next state, reward, terminated), and the distribution of the initial state.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Outcomes = Sequence[tuple[float, int, float, bool]]
 
 @kernel_function
 def draw(cumulated, rng):
-    """The first index whose cumulated probability exceeds a random number; 0 if none does."""
+    """The first index whose cumulative probability exceeds a random number; 0 if none does."""
     u = random(rng)
     for i in range(len(cumulated)):
         if cumulated[i] > u:
@@ -40,7 +40,7 @@ def reset(parameters, state, rng):
 
 @kernel_function
 def step(parameters, state, action, rng):
-    """One of the outcomes of (state, action), by its probability."""
+    """Draw one of the outcomes of (state, action)."""
     cumulated, successor, reward, terminal = parameters[1:5]
     s = int(state[0])
     i = draw(cumulated[s, action], rng)
@@ -50,14 +50,14 @@ def step(parameters, state, action, rng):
 
 @kernel_function
 def observe(parameters, state, observation):
-    """One-hot."""
+    """The one-hot state."""
     observation[:] = 0
     observation[int(state[0])] = 1
 
 
 @kernel_function
 def read_mask(parameters, state, mask):
-    """The state's row of the table of masks."""
+    """The state's row in the table of masks."""
     mask[:] = parameters[5][int(state[0])]
 
 
@@ -70,8 +70,8 @@ def tabular(
 
     Args:
         table: state -> action -> outcomes (probability, next state, reward, terminated).
-        initial: probabilities of the first state [n_states].
-        masks: [n_states, n_actions], False where an action is not allowed; None: all are.
+        initial: probabilities of the initial state [n_states].
+        masks: [n_states, n_actions], False where an action is not allowed; None: no masks.
     """
     n_states, n_actions = len(table), len(table[0])
     outcomes = max(len(table[s][a]) for s in range(n_states) for a in range(n_actions))
@@ -82,7 +82,7 @@ def tabular(
     for s in range(n_states):
         for a in range(n_actions):
             rows = table[s][a]
-            # As gymnasium sums them. Places that are left over stay 0, and are never drawn.
+            # Summed as in gymnasium. Unused places stay 0 and are never drawn.
             cumulated[s, a, : len(rows)] = np.cumsum([row[0] for row in rows])
             for i, (_, after, r, end) in enumerate(rows):
                 successor[s, a, i], reward[s, a, i], terminal[s, a, i] = after, r, end
@@ -107,10 +107,10 @@ def taxi(env: TaxiEnv) -> Kernel:
     """The kernel of a Taxi environment, from its tables of transitions and masks.
 
     Raises:
-        LookupError: if the passenger is fickle: its choice of a destination draws an integer.
+        LookupError: if the passenger is fickle: drawing the new destination needs ``integers``.
     """
     if env.fickle_passenger:
-        raise LookupError("the kernel of Taxi does not serve fickle_passenger=True")
+        raise LookupError("the kernel of Taxi does not support fickle_passenger=True")
     masks = np.array([env.action_mask(state) for state in range(len(env.P))], dtype=np.bool_)
     return tabular(env.P, env.initial_state_distrib, masks)
 

@@ -1,1 +1,1 @@
-"""Compiled arithmetic. Operations reach it through ``numerics.dispatch``; see ``numerics``."""
+"""Compiled arithmetic; operations call it through ``numerics.dispatch``. See ``numerics``."""

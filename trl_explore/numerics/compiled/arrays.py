@@ -1,8 +1,7 @@
-"""Arrays in compiled code: without reference counts or heap memory, and read as vectors.
+"""Arrays in compiled code without reference counts or heap memory, and explicit vectors.
 
-Vectors here are those that a compiler does not find by itself, because they change an order. A sum
-must run in the order in which it is written; here it is written as eight sums side by side. The
-order is fixed, and nothing depends on where in memory the numbers lie.
+A compiler may not vectorise a sum, because that changes its order. ``dot`` is therefore written as
+eight sums side by side. The order is fixed and does not depend on the numbers' place in memory.
 """
 
 from __future__ import annotations
@@ -21,20 +20,20 @@ from numba.extending import intrinsic
 from numba.np.numpy_support import as_dtype
 
 WIDTH = 8
-"""Numbers side by side; arrays are taken in whole groups of so many."""
+"""Numbers per vector; arrays are processed in whole groups of this size."""
 MOST_COLUMNS = 16
-"""Up to so many columns, rows of a matrix are read as one vector and sorted in registers."""
+"""With at most this many columns, rows are read as one vector and transposed in registers."""
 STACK_BYTES = 1 << 15
-"""Larger arrays are not for the stack, which ends somewhere; to compile them takes minutes."""
+"""Larger arrays go to the heap: the stack is limited, and they would take minutes to compile."""
 
 _INT32, _DOUBLE = ir.IntType(32), ir.DoubleType()
 
 
 @intrinsic
 def borrow(typingctx, array):
-    """The same array, not owned: rows taken from it cost no atomic reference counts.
+    """A view without ownership: taking rows from it costs no atomic reference counts.
 
-    The caller's array must outlive it; arguments of a function do.
+    The caller's array must outlive the view; function arguments do.
     """
     if not isinstance(array, types.Array):
         raise TypingError(f"borrow takes an array, got {array}")
@@ -49,7 +48,7 @@ def borrow(typingctx, array):
 
 @intrinsic
 def lane(typingctx, array, j):
-    """Column j of an array [size, lanes], not owned."""
+    """Column j of an array [size, SIMD lanes], without ownership."""
     if not isinstance(array, types.Array) or array.ndim != 2:
         raise TypingError(f"lane takes an array with two dimensions, got {array}")
     column = types.Array(array.dtype, 1, "A")
@@ -71,10 +70,10 @@ def lane(typingctx, array, j):
 
 
 def on_stack(dtype: types.Type, *shape: int) -> Any:
-    """A compiled function that returns an array on the stack of the function that calls it.
+    """A compiled function that returns an array on its caller's stack.
 
-    No other array overlaps it, and its sizes are constants: the compiler knows both, and turns
-    loops over it into vector instructions. One of more than ``STACK_BYTES`` is on the heap.
+    The compiler knows that no other array overlaps it, and that its sizes are constants, so it
+    vectorises loops over it. An array larger than ``STACK_BYTES`` is on the heap.
     """
     array, item = types.Array(dtype, len(shape), "C"), as_dtype(dtype)
     if item.itemsize * math.prod(shape) > STACK_BYTES:
@@ -106,7 +105,7 @@ def on_stack(dtype: types.Type, *shape: int) -> Any:
 
 @intrinsic
 def one_by_one(typingctx):
-    """Keeps the loop that it stands in from becoming vector instructions."""
+    """Prevent vectorisation of the enclosing loop."""
 
     def codegen(context, builder, signature, args):
         nothing = ir.FunctionType(ir.VoidType(), [])
@@ -120,7 +119,7 @@ def one_by_one(typingctx):
 def dot(typingctx: Any, x: Any, y: Any, groups: Any) -> Any:
     """Σ_i x_i y_i over WIDTH · groups numbers, in double; twin: ``numpy.dot``.
 
-    There are eight sums, added pairwise in the end.
+    It keeps eight partial sums and adds them pairwise at the end.
     """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -193,7 +192,7 @@ def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
 
 
 def _load(builder: Any, pointer: Any, first: Any, size: int) -> Any:
-    """The ``size`` numbers from place ``first`` on; numbers are aligned, vectors need not be."""
+    """The ``size`` numbers from index ``first`` on; only single numbers need be aligned."""
     kind = ir.VectorType(pointer.type.pointee, size)
     loaded = builder.load(builder.bitcast(builder.gep(pointer, [first]), kind.as_pointer()))
     loaded.align = _bytes(loaded)

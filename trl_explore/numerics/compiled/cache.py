@@ -1,14 +1,14 @@
-"""How functions are compiled and kept on disk, and a clock that excludes the compilation.
+"""Compilation of functions with a cache on disk, and a clock that excludes compilation.
 
-Numba's cache is made safe here for several processes that compile at once.
-The cache of a function is an index, signature -> number of a data file, and the data files. Numba
-replaces each file atomically, but chooses the number from an index that it read before: of two
-processes that compile two signatures of one function at the same time, both take the same number,
-and the index of one may then point to the code of the other. A lock on the folder of the cache
-makes reading the index and writing both files one step.
+This module makes numba's cache safe for processes that compile at the same time. The cache of a
+function consists of data files and an index, signature -> number of a data file. Numba replaces
+each file atomically, but chooses the number from an index that it has read earlier. Two processes
+that compile two signatures of a function at the same time may choose the same number, and the index
+of one may then point to the code of the other. A lock on the cache's folder makes reading the index
+and writing both files one step.
 
-Numba notices when the file of a cached function changes, but not when another file changes from
-which functions were compiled into it; ``compiled`` makes those files part of the key.
+Numba notices when the source file of a cached function changes, but not when functions from other
+files, compiled into it, change. ``compiled`` makes those files part of the key.
 """
 
 # numba's classes are not declared:
@@ -33,14 +33,14 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 NAME = ".trl_explore.lock"
 
 kernel_function = nb.njit(nogil=True, error_model="numpy", forceinline=True)
-"""Decorator of a function that is compiled into the one that calls it.
+"""Decorator of a function that is compiled into its caller.
 
-It is not cached on disk: numba would not notice a change in another file. Its caller is.
+It is not cached on disk; its caller is, because numba would not notice a change in another file.
 """
 
 
 def lock_cache() -> None:
-    """From here on, this process reads and writes numba's cache under a lock; idempotent."""
+    """Make this process read and write numba's cache under a lock; idempotent."""
     if hasattr(IndexDataCacheFile.save, "__wrapped__"):
         return
     IndexDataCacheFile.save = _locked(IndexDataCacheFile.save, exclusive=True)
@@ -48,14 +48,14 @@ def lock_cache() -> None:
 
 
 def compiled(*modules: ModuleType, key: Any = None) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: compiled, releasing the interpreter's lock, and cached until a source changes.
+    """Decorator: compile without the GIL, and cache on disk until a source file changes.
 
-    Where no folder can be written, the function is compiled in every process.
+    If no cache folder is writable, every process compiles the function.
 
     Args:
-        modules: whose functions are compiled into the decorated one, besides its own file.
-        key: what the decorated function closes over; its ``repr`` distinguishes it from others
-            that are made of the same source.
+        modules: the modules, besides the function's own, whose functions are compiled into it.
+        key: the values that the function closes over; its ``repr`` distinguishes functions with
+            the same source.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -63,7 +63,7 @@ def compiled(*modules: ModuleType, key: Any = None) -> Callable[[Callable[..., A
         files = [own, *(str(module.__file__) for module in modules)]
         parts = (*(Path(file).read_bytes() for file in files), repr(key).encode())
         dispatcher = nb.njit(nogil=True, error_model="numpy")(function)
-        with suppress(RuntimeError):  # numba's, if it finds no folder that can be written
+        with suppress(RuntimeError):  # raised by numba if no cache folder is writable
             cache = SourceCache(function)
             cache.digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
             dispatcher._cache = cache
@@ -73,9 +73,9 @@ def compiled(*modules: ModuleType, key: Any = None) -> Callable[[Callable[..., A
 
 
 class SourceCache(FunctionCache):
-    """Numba's disk cache with a digest of the sources as part of its key.
+    """Numba's disk cache with a hash of the sources as part of its key.
 
-    Numba's own key of a closure over functions changes with every process.
+    Numba's own key for a closure over functions differs in every process.
     """
 
     digest = ""
@@ -95,7 +95,7 @@ def _locked(method: Callable[..., Any], *, exclusive: bool) -> Callable[..., Any
 
 @contextmanager
 def _lock(folder: Path, *, exclusive: bool) -> Iterator[None]:
-    """Hold the lock of a folder; no lock where there can be none, as in a read-only folder."""
+    """Hold the lock of a folder; no lock if it is read-only or the system has no ``fcntl``."""
     try:
         import fcntl
 
@@ -111,7 +111,7 @@ def _lock(folder: Path, *, exclusive: bool) -> Iterator[None]:
 
 
 class _CompileTime(event.Listener):
-    """How long numba has compiled, functions within functions counted once."""
+    """Total compile time of numba; nested compilations count once."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
@@ -129,7 +129,7 @@ class _CompileTime(event.Listener):
             self.seconds += time.perf_counter() - self._started
 
     def total(self) -> float:
-        """With the compilation that has not ended yet."""
+        """Seconds of compilation so far, including one that has not finished."""
         since = time.perf_counter() - self._started if self._depth else 0.0
         return self.seconds + since
 
@@ -139,10 +139,10 @@ event.register("numba:compile", _compiling)
 
 
 def clock() -> float:
-    """Wall time [s] without that of compilation; only differences mean something.
+    """Wall time [s] without compilation; only differences are meaningful.
 
-    The first job after an installation compiles for some seconds. That says nothing of its
-    strategy.
+    The first job after an installation compiles for some seconds, which must not count as time of
+    its strategy.
 
     Example:
         >>> started = clock()

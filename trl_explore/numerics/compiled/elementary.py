@@ -1,8 +1,8 @@
-"""Exponential, logarithm, sine and cosine without branches, calls or table look-ups by libraries.
+"""Exponential, logarithm, sine and cosine without branches or library calls.
 
-The C library's functions are called for one number at a time. These are additions, products and
-operations on bits, in a fixed order, so that a loop over an array becomes vector instructions and
-a number's result does not depend on where it stands.
+The C library's functions take one number per call. These functions consist of sums, products and
+bit operations in a fixed order, so that a loop over an array becomes vector instructions, and a
+number's result does not depend on its place in the array.
 """
 
 # numba rewrites signatures:
@@ -22,19 +22,19 @@ from numpy.typing import NDArray
 
 from trl_explore.numerics.compiled.cache import compiled, kernel_function
 
-# Exponential and logarithm of float32 numbers: the polynomials of Moshier's Cephes (expf.c,
-# logf.c), which Eigen and others use in the same way.
+# Exponential and logarithm in float32: the polynomials of Moshier's Cephes (expf.c, logf.c), which
+# Eigen and others also use.
 
 _ZERO, _HALF, _ONE = map(np.float32, (0.0, 0.5, 1.0))
 _INF, _NAN = np.float32(np.inf), np.float32(np.nan)
 
-# log 2 in two parts: the first has nine bits, so that its product with an exponent is exact.
+# log 2 in two parts: the first has nine bits, so that its product with an exponent n is exact.
 _LN2_HIGH, _LN2_LOW = np.float32(0.693359375), np.float32(-2.12194440e-4)
 _LOG2_E = np.float32(1.4426950408889634)
 _ROUNDER = np.float32(1.5 * 2**23)
-"""A number plus this one has the nearest integer in its low bits."""
+"""x plus this constant has the integer nearest to x in its low bits."""
 _LOWEST, _HIGHEST = np.float32(-104.0), np.float32(89.0)
-"""Beyond these, e^x is 0 or infinite in float32."""
+"""Outside these bounds, e^x is 0 or infinite in float32."""
 _E0, _E1, _E2, _E3, _E4, _E5 = map(
     np.float32,
     (
@@ -44,7 +44,7 @@ _E0, _E1, _E2, _E3, _E4, _E5 = map(
 )
 
 _TINY, _GROWTH, _GROWN = np.float32(2.0**-126), np.float32(2.0**23), np.float32(23.0)
-"""Numbers below the first have fewer bits; the second, 2 to the third, makes them normal."""
+"""Numbers below _TINY are subnormal; the factor _GROWTH = 2^_GROWN makes them normal."""
 _SQRT2_1 = np.float32(0.41421356)
 _L0, _L1, _L2, _L3, _L4, _L5, _L6, _L7, _L8 = map(
     np.float32,
@@ -59,12 +59,12 @@ _I32, _F32 = ir.IntType(32), ir.FloatType()
 
 @intrinsic
 def _scaled(typingctx, x, rounded):
-    """The product x 2^n, for the n in the low bits of n + _ROUNDER; rounded once."""
+    """The product x 2^n, rounded once; ``rounded`` is n + _ROUNDER."""
 
     def codegen(context, builder, signature, args):
         bits = builder.bitcast(args[1], _I32)
         n = builder.sub(bits, ir.Constant(_I32, int(_ROUNDER.view(np.int32))))
-        half = builder.ashr(n, ir.Constant(_I32, 1))  # 2^n itself need not be a float32
+        half = builder.ashr(n, ir.Constant(_I32, 1))  # 2^n alone may be out of range
         result = args[0]
         for part in (half, builder.sub(n, half)):
             biased = builder.add(part, ir.Constant(_I32, 127))
@@ -94,8 +94,8 @@ def _split(typingctx, x):
 def exp32(x):
     """The exponential of a float32; twin: ``numpy.exp``.
 
-    Within 2 units in the last place; NaN stays NaN. It is e^r 2^n, where n is the integer nearest
-    to x / log 2 and r = x − n log 2.
+    The error is at most 2 units in the last place; NaN stays NaN. It is e^r 2^n, where n is the
+    integer nearest to x / log 2, and r = x − n log 2.
     """
     x = _LOWEST if x < _LOWEST else x
     x = _HIGHEST if x > _HIGHEST else x
@@ -110,7 +110,7 @@ def exp32(x):
 def log32(x):
     """The natural logarithm of a float32; twin: ``numpy.log``.
 
-    Within 2 units in the last place; infinite at infinity, −∞ at 0, NaN below. It is
+    The error is at most 2 units in the last place; ∞ at ∞, −∞ at 0, NaN below 0. It is
     log m + n log 2, where x = 2^n m.
     """
     small = x < _TINY
@@ -125,8 +125,8 @@ def log32(x):
 def log1p32(x):
     """The logarithm of 1 + x for a float32 0 <= x <= 1; twin: ``numpy.log1p``.
 
-    Within 2 units in the last place; NaN stays NaN. Where x is small, so is log (1 + x), and 1 + x
-    has lost what matters.
+    The error is at most 2 units in the last place; NaN stays NaN. For small x, computing 1 + x
+    first would lose the significant bits.
     """
     large = x > _SQRT2_1
     return _log((x - _ONE) * _HALF if large else x, _ONE if large else _ZERO)
@@ -142,19 +142,18 @@ def _log(f, n):
     return (f + y) + n * _LN2_HIGH
 
 
-# Sine and cosine of small angles in float64. For 2^-26 < |x| < 0.855 these are the functions of the
-# GNU C library on processors with fused multiplication and addition
-# (sysdeps/ieee754/dbl-64/s_sin.c, do_sin and do_cos), operation by operation: a table of sine and
-# cosine at multiples of 1/128, each in two parts, and polynomials in the rest; for the sine of
-# |x| < 0.126, a Taylor polynomial. The same bits matter, since a balanced pole multiplies what is
-# rounded differently by e^0.08 in every step. Another library may round differently: ``agree`` says
-# whether this one does not.
+# Sine and cosine of small angles in float64. For 2^-26 < |x| < 0.855 they perform the same
+# operations as the GNU C library on processors with fused multiply-add
+# (sysdeps/ieee754/dbl-64/s_sin.c, do_sin and do_cos): a table of sine and cosine at multiples of
+# 1/128, each in two parts, and polynomials in the remainder; for the sine of |x| < 0.126, a Taylor
+# polynomial. Equal bits matter, because a balanced pole amplifies a rounding difference by e^0.08
+# per step. Another C library may round differently; ``agree`` tests the one in use.
 
 MAX_ANGLE = 0.85
-"""The largest |x| that is served."""
+"""The largest |x| that ``cos_sin`` supports."""
 
 _BIG = 1.5 * 2.0**45
-"""A number plus this one has the nearest multiple of 1/128 in its low bits."""
+"""x plus this constant has the multiple of 1/128 nearest to x in its low bits."""
 _TAYLOR = 0.126
 _T3, _T5, _T7, _T9, _T11 = (
     float.fromhex(c)
@@ -172,8 +171,8 @@ _C2, _C4, _C6 = (
 
 
 def _table() -> tuple[NDArray[np.float64], ...]:
-    """Sine and cosine of k/128 for k < 128, each as the nearest float64 and the rest [128]."""
-    one = 1 << 192  # integers in place of fractions of 2^192
+    """Sine and cosine of k/128 for k < 128, each as the nearest float64 and remainder [128]."""
+    one = 1 << 192  # fixed-point numbers: integers in units of 2^-192
     rows = []
     for k in range(128):
         sums, term, n = [0, 0], one, 0
@@ -194,7 +193,7 @@ _SIN, _SIN_REST, _COS, _COS_REST = _table()
 
 @intrinsic
 def _fma(typingctx, a, b, c):
-    """The sum a b + c, rounded once."""
+    """The value a b + c, rounded once."""
 
     def codegen(context, builder, signature, args):
         return builder.fma(*args)
@@ -242,16 +241,16 @@ def _differences(angles):
 
 @lru_cache(maxsize=1)
 def agree() -> bool:
-    """Whether ``cos_sin`` gives the bits of this machine's C library, at 20,000 angles."""
+    """Whether ``cos_sin`` gives the same bits as this machine's C library, at 20,000 angles."""
     near, far = np.linspace(-0.25, 0.25, 10_001), np.linspace(-MAX_ANGLE, MAX_ANGLE, 10_001)
     return _differences(np.concatenate([near, far])) == 0
 
 
-# Sine and cosine of small angles in float32, as numpy's vector code computes them. For |x| <= π/4
-# these are the polynomials in x² of numpy/_core/src/umath/loops_trigonometric (cosine to x⁸, sine
-# to x⁹), every sum and product of which is one fused operation. They differ from the rounded true
-# value in the last bit, once in a thousand; an environment that keeps a float32 state shows them in
-# its observation. Where a processor has no fused operations numpy calls the C library.
+# Sine and cosine of small angles in float32, as in numpy's vector code. For |x| <= π/4 these are
+# the polynomials in x² of numpy/_core/src/umath/loops_trigonometric (cosine to x⁸, sine to x⁹),
+# with every product and sum fused. In one case of a thousand the last bit differs from the
+# correctly rounded value; it is visible in the observation of an environment with a float32 state.
+# On processors without fused operations numpy calls the C library.
 
 _COSINE = "-0x1p-1", "0x1.55553cp-5", "-0x1.6c06dcp-10", "0x1.98e616p-16"
 _SINE = "-0x1.555556p-3", "0x1.11119ap-7", "-0x1.a06bbap-13", "0x1.7d3bbcp-19"
@@ -261,7 +260,7 @@ _SIN3, _SIN5, _SIN7, _SIN9 = (np.float32(float.fromhex(s)) for s in _SINE)
 
 @kernel_function
 def _fused(a, b, c):
-    """The sum a b + c, rounded once: the product of two float32 numbers is exact in float64."""
+    """The value a b + c with an exact product: that of two float32 numbers fits into float64."""
     return np.float32(np.float64(a) * np.float64(b) + np.float64(c))
 
 

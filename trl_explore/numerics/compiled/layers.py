@@ -12,10 +12,10 @@ import numpy as np
 from trl_explore.numerics.compiled.cache import compiled, kernel_function
 
 WIDE = 8
-"""From so many outputs on, the compiled code takes them side by side, as vectors."""
+"""The fewest outputs that compiled code computes side by side, as vectors."""
 
-# tanh x ≈ x P(x²) / Q(x²) for |x| <= TANH_LIMIT: the coefficients of Eigen's float32 function
-# (MathFunctionsImpl.h, ptanh_float), in whose arithmetic 16 elements are one vector instruction.
+# tanh x ≈ x P(x²) / Q(x²) for |x| <= TANH_LIMIT, with the coefficients of Eigen's float32 function
+# (MathFunctionsImpl.h, ptanh_float). One vector instruction can process 16 elements.
 TANH_LIMIT = np.float32(7.90531110763549805)
 P0, P1, P2, P3, P4, P5, P6 = map(
     np.float32,
@@ -60,7 +60,7 @@ def affine(x, out, trial, weight, bias):
 
 @kernel_function
 def _narrow(x, weight, out):
-    """W x for the frames of one trial, output by output."""
+    """W x for the frames of one trial, one output at a time."""
     n_out, n_in = weight.shape
     for f in range(len(x)):
         for j in range(n_out):
@@ -72,7 +72,7 @@ def _narrow(x, weight, out):
 
 @kernel_function
 def accumulate(columns, x, out, n_in, n_out):
-    """Σ_k columns_k x_k, in the order of k, side by side; twin: ``layers.plain_lane_linear``."""
+    """Σ_k columns_k x_k in the order of k, vectorised; twin: ``layers.plain_lane_linear``."""
     for j in range(n_out):
         out[j] = columns[0, j] * x[0]
     k = 1
@@ -192,7 +192,7 @@ def softmax_log_prob(logits, action, probs, out):
 
 @compiled()
 def softmax_log_prob_backward(probs, action, grad, out):
-    """Its gradient; twin: ``densities.plain_categorical_log_prob``."""
+    """Gradient of ``softmax_log_prob``; twin: ``densities.plain_categorical_log_prob``."""
     n = probs.shape[1]
     for i in range(len(probs)):
         for k in range(n):

@@ -1,4 +1,4 @@
-"""Philox4x64-10 in compiled code, bit for bit numpy's ``Generator(Philox(key, counter)).random()``.
+"""Compiled Philox4x64-10 with the bits of numpy's ``Generator(Philox(key, counter)).random()``.
 
 Salmon, Moraes, Dror & Shaw (2011), "Parallel random numbers: as easy as 1, 2, 3".
 """
@@ -15,7 +15,7 @@ from numba.core import types
 from numba.extending import intrinsic
 
 STATE_SIZE = 11
-"""Words of a stream's state: key [2], counter [4], block [4], place in the block."""
+"""Words of a stream's state: key [2], counter [4], block [4], index in the block."""
 
 _M0, _M1 = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)
 _W0, _W1 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)
@@ -39,7 +39,7 @@ def _multiply(typingctx, a, b):
 
 @nb.njit(error_model="numpy", forceinline=True)
 def philox_block(k0, k1, c0, c1, c2, c3):
-    """The words of key (k0, k1) at counter (c0, c1, c2, c3); twin: ``streams.generator``."""
+    """Block of key (k0, k1) at counter (c0, c1, c2, c3); twin: ``streams.generator``."""
     for _ in range(10):
         h0, l0 = _multiply(_M0, c0)
         h1, l1 = _multiply(_M1, c2)
@@ -67,7 +67,7 @@ def begin(rng, key, episode, trial):
 def random(rng):
     """The next number of a stream, uniform in [0, 1); twin: ``streams.generator``."""
     if rng[10] == _FOUR:
-        rng[2] += _ONE  # an episode cannot exhaust 2^64 blocks: no carry
+        rng[2] += _ONE  # no carry: an episode cannot use 2^64 blocks
         block = philox_block(rng[0], rng[1], rng[2], rng[3], rng[4], rng[5])
         rng[6], rng[7], rng[8], rng[9] = block
         rng[10] = _ZERO

@@ -1,7 +1,7 @@
-"""Discounted returns, compiled, and where runs of frames end: those of a trial, of an episode.
+"""Discounted returns, compiled, and the search for the end of a trial's or episode's frames.
 
-Eight frames are looked at in one step. Places are unsigned: numba takes a signed place, which could
-be negative, for one that may count from the end, and what that costs keeps a loop from vectors.
+Each step examines eight frames. Indices are unsigned: a signed index could be negative, and numba's
+support for negative indices keeps LLVM from vectorising the loop.
 """
 
 # numba rewrites signatures:
@@ -19,7 +19,7 @@ _1, _2, _3, _4, _5, _6, _7 = map(np.uint64, range(1, 8))
 
 @kernel_function
 def end_of_run(trial, start):
-    """The first place after ``start`` with another trial; twin: ``returns.plain_return_to_go``."""
+    """First index after ``start`` with another trial; twin: ``returns.plain_return_to_go``."""
     place, stop, own = np.uint64(start) + _ONE, np.uint64(len(trial)), trial[start]
     while place + _STRIDE <= stop:
         change = trial[place] ^ own
@@ -35,9 +35,9 @@ def end_of_run(trial, start):
 
 @kernel_function
 def end_of_episode(done, start, stop):
-    """The place after the next frame that is done; twin: ``returns.plain_return_to_go``.
+    """Index after the next frame that is done; twin: ``returns.plain_return_to_go``.
 
-    It looks from ``start`` on, and returns at most ``stop``.
+    It searches from ``start`` on and returns at most ``stop``.
     """
     place, last = np.uint64(start), np.uint64(stop)
     while place + _STRIDE <= last:
@@ -68,9 +68,10 @@ def returns(reward, done, out, trial, gamma):
 def run_returns(reward, done, out, gamma):
     """The returns of one trial's frames, in double; twin: ``returns.plain_return_to_go``.
 
-    For float32 rewards from eight frames to the eight before: with l_t, the sum over the rest of
-    the block of t, and G, the return after the block, j frames after t: G_t = l_t + γ^j G. Only
-    that step waits for the next block. An episode's blocks begin with its first frame.
+    float32 rewards are processed in blocks of eight frames, from the last to the first. Let l_t be
+    the discounted sum from t to the end of its block, and G the return after the block, which
+    begins j frames after t: then G_t = l_t + γ^j G. Only this step depends on the following block.
+    The blocks of an episode begin with its first frame.
     """
     g1, g2, g4 = gamma, gamma * gamma, gamma * gamma * gamma * gamma
     g3, g5, g6, g7, g8 = g2 * g1, g4 * g1, g4 * g2, g4 * g2 * g1, g4 * g4

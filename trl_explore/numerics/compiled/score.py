@@ -1,9 +1,9 @@
-"""The score of a linear-softmax policy and its gradient, compiled; see ``numerics.score``.
+"""The score of a linear softmax policy and its gradient, compiled; see ``numerics.score``.
 
-The kernels take trials in ascending order, so that each has its frames in one piece, and write S
-and its gradient for the trials that have frames. They return whether the trials ascend, and whether
-all actions and trials are in range. Sums are in double, because hundreds of terms may have one
-sign; they are multiplied with ``scale`` [1] after they have been rounded.
+The kernels expect trials in ascending order, so that the frames of each are contiguous, and write S
+and its gradient for the trials that have frames. They return False if the trials are not in
+ascending order, or an action or trial is out of range. Sums are in double, because hundreds of
+terms may have the same sign; they are rounded and then multiplied by ``scale`` [1].
 """
 
 # numba rewrites signatures:
@@ -25,20 +25,20 @@ from trl_explore.numerics.compiled.elementary import exp32, log1p32
 from trl_explore.numerics.compiled.returns import end_of_run, run_returns
 
 WIDE, SPARSE = 8, 2
-"""From so many features on, of which no more than so many are not 0, zeros are skipped."""
+"""Zeros are skipped if there are at least WIDE features, of which at most SPARSE are not 0."""
 BLOCK = 256
-"""How many frames of a trial are treated at a time, one operation after the other."""
+"""The number of frames of a trial that an operation processes before the next operation."""
 
 
 def score_kernel(shape: tuple[int, ...], observation: NDArray[Any]) -> Callable[..., bool]:
     """The faster of two kernels for any number of actions, chosen by the first observation.
 
-    It takes (observation, action, advantage, trial, weight, scale, total, gradient). The choice
-    changes no bit where the weights are finite; where they are not, one of them skips 0 times
+    It takes (observation, action, advantage, trial, weight, scale, total, gradient). If the weights
+    are finite, the choice changes no bit; if they are not, the sparse kernel skips 0 times
     infinity.
 
     Args:
-        shape: that of the weights.
+        shape: the shape of the weights.
         observation: [frames, n_features].
     """
     one_hot = shape[2] >= WIDE and len(observation) and np.count_nonzero(observation[0]) <= SPARSE
@@ -47,7 +47,7 @@ def score_kernel(shape: tuple[int, ...], observation: NDArray[Any]) -> Callable[
 
 @compiled(arrays)
 def score_sparse(observation, action, advantage, trial, weight, scale, total, gradient):
-    """``score_dense`` that skips zeros; twin: ``score.plain_linear_softmax_score``."""
+    """Like ``score_dense``, but skips zeros; twin: ``score.plain_linear_softmax_score``."""
     trials, n_actions, n_features = weight.shape
     probs = np.empty(n_actions, dtype=weight.dtype)
     own_slope = np.zeros((n_actions, n_features))
@@ -83,13 +83,13 @@ def score_sparse(observation, action, advantage, trial, weight, scale, total, gr
         total[row] *= scale[0]
         gradient[row] = slope
         gradient[row] *= scale[0]
-    own_slope[0, 0] = 0  # keeps it alive to here
+    own_slope[0, 0] = 0  # keeps the array alive until here
     return True
 
 
 @kernel_function
 def _find(x, present):
-    """Write the places of what is not 0, and count them; fast where there is one."""
+    """Write the indices of the nonzero entries and return their number; fast if there is one."""
     count = place = np.int32(0)
     for k in range(len(x)):
         hit = np.int32(x[k] != 0)
@@ -107,7 +107,7 @@ def _find(x, present):
 
 @kernel_function
 def _exponentials(probs, chosen, zero):
-    """Logits become e^(logit − the largest), in place; returns log π(chosen) and their sum."""
+    """Replace logits by e^(logit − largest logit); returns log π(chosen) and their sum."""
     largest = probs.max()
     log_prob = probs[chosen] - largest
     normaliser = zero
@@ -119,7 +119,7 @@ def _exponentials(probs, chosen, zero):
 
 @compiled()
 def score_dense(observation, action, advantage, trial, weight, scale, total, gradient):
-    """For any number of actions, by frame; twin: ``score.plain_linear_softmax_score``."""
+    """Any number of actions, frame by frame; twin: ``score.plain_linear_softmax_score``."""
     trials, n_actions, n_features = weight.shape
     probs = np.empty(n_actions, dtype=weight.dtype)
     slope = np.empty((n_actions, n_features))
@@ -159,17 +159,18 @@ def score_dense(observation, action, advantage, trial, weight, scale, total, gra
 def score_two(  # noqa: C901 - small functions that close over the number of features
     n_features: int, single: bool
 ) -> Callable[..., bool]:
-    """The score for two actions, by blocks of frames; twin: ``score.plain_linear_softmax_score``.
+    """The score for two actions, in blocks of frames; twin: ``score.plain_linear_softmax_score``.
 
-    With d = logit of the other − logit of the chosen action, log π = −log(1 + e^d).
+    With d = logit of the other action − logit of the chosen one, log π = −log(1 + e^d).
 
-    A block of frames at a time, one operation for all of them after the other, so that each is
-    vector instructions. Blocks begin with the first frame of a trial, whatever stands before it.
+    Each operation runs over a whole block of frames before the next operation, so that it becomes
+    vector instructions. Blocks begin with the first frame of a trial, so that a trial's sums do not
+    depend on the frames before it.
 
     Returns:
         A kernel of (observation, action, advantage, reward, done, trial, weight, scale, baseline,
-        gamma, total, gradient). It takes the advantages or, where there are rewards, forms them:
-        the return less the baseline [1].
+        gamma, total, gradient). If there are rewards, it computes the advantages from them: the
+        return minus the baseline [1].
     """
     take = columns(n_features)
     exponential, logarithm = (exp32, log1p32) if single else (np.exp, np.log1p)
@@ -178,14 +179,14 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
 
     @kernel_function
     def read(observation, start, size, x):
-        """The columns of a block's observations, with zeros up to a whole group."""
+        """Transpose a block of observations to ``x``, padded with zeros to whole groups."""
         whole = size // WIDTH
         take(observation, start, x, whole)
         for f in range(WIDTH * whole, WIDTH * ((size + WIDTH - 1) // WIDTH)):
             for k in range(n_features):
                 x[k, f] = observation[start + f, k] if f < size else zero
 
-    # Groups are whole, because what is left over of a loop is taken number by number.
+    # Groups are whole, because the remainder of a vectorised loop runs one number at a time.
 
     @kernel_function
     def logits(difference, x, d, groups):
@@ -197,7 +198,7 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
 
     @kernel_function
     def log_probs(d, cost, share, groups):
-        """Writes −log π(chosen), and multiplies the share with π(other)."""
+        """Write −log π(chosen) to ``cost``, and multiply ``share`` by π(other)."""
         for place in range(0, WIDTH * groups, WIDTH):
             for j in range(WIDTH):
                 f = place + j
@@ -207,7 +208,7 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
 
     modules = (arrays, elementary, returns)
 
-    # One function, because the compiler must see that the arrays of a block do not overlap.
+    # One function, so that the compiler sees that the arrays of a block do not overlap.
     @compiled(*modules, key=(n_features, single))
     def kernel(  # noqa: C901
         observation,
@@ -231,7 +232,7 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
         d, cost, share, factor = rows[0], rows[1], rows[2], rows[3]
         observation, action, advantage = borrow(observation), borrow(action), borrow(advantage)
         own_returns = np.empty(0, dtype)
-        factor_of_sums, shift_of_returns = scale[0], baseline[0]  # no array that may overlap
+        factor_of_sums, shift_of_returns = scale[0], baseline[0]  # scalars: an array might overlap
         actions = np.int64(0)
         start, before = 0, np.int64(-1)
         while start < len(action):
@@ -256,7 +257,7 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
                 groups = (size + WIDTH - 1) // WIDTH
                 read(observation, start, size, x)
                 logits(difference, x, d, groups)
-                for f in range(size, WIDTH * groups):  # counts nothing
+                for f in range(size, WIDTH * groups):  # padding: adds nothing
                     d[f] = share[f] = factor[f] = zero
                 chosen_of = action[start : start + size]
                 factor_of = given[start - shift : start - shift + size]
@@ -277,7 +278,7 @@ def score_two(  # noqa: C901 - small functions that close over the number of fea
                 gradient[row, 1, k] = slope[k]
                 gradient[row, 1, k] *= factor_of_sums
                 gradient[row, 0, k] = -gradient[row, 1, k]
-        own_x[0, 0] = own_rows[0, 0] = own_difference[0] = own_slope[0] = 0  # alive to here
+        own_x[0, 0] = own_rows[0, 0] = own_difference[0] = own_slope[0] = 0  # alive until here
         own_returns[:1] = 0
         return 0 <= actions < 2
 

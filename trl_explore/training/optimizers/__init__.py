@@ -1,4 +1,4 @@
-"""Optimisers whose lanes never mix: a stopped trial's weights and momentum stay as they were."""
+"""Optimisers that keep trials independent: a stopped trial's weights and momentum do not change."""
 
 from trl_explore.training.optimizers.adam import LaneAdam
 from trl_explore.training.optimizers.optimizer import (

@@ -1,4 +1,4 @@
-"""Adam over lanes, compiled."""
+"""Compiled Adam over parameters with the trials as dimension 0."""
 
 # numba rewrites signatures:
 # pyright: reportCallIssue=false, reportAttributeAccessIssue=false
@@ -17,20 +17,20 @@ from trl_explore.training.optimizers.optimizer import Parameters, Views, grouped
 
 
 class LaneAdam:
-    """Adam (Kingma & Ba 2015, algorithm 1), compiled, over the rows of the active trials only.
+    """Compiled Adam (Kingma & Ba 2015, algorithm 1) that updates the active trials only.
 
     m ← β₁ m + (1 − β₁) g,   v ← β₂ v + (1 − β₂) g²,
     θ ← θ − lr · (m / (1 − β₁^i)) / (√(v / (1 − β₂^i)) + ε),   β₁ = 0.9, β₂ = 0.999, ε = 1e-8
 
-    with i the number of steps, the same for all trials, since they step together until they stop.
-    The formula, its order and its defaults are those of ``torch.optim.Adam``, whose fused and
-    foreach kernels treat an element according to its place in memory, so that a trial's weights
-    would depend, in their last bits, on how many trials stand before it.
+    with i the number of steps, the same for all trials because they step together until they stop.
+    Formula, order of operations and defaults are those of ``torch.optim.Adam``. Its fused and
+    foreach kernels are not used: they round an element according to its place in memory, so that
+    the last bits of a trial's weights would depend on the number of trials before it.
 
     Args:
         parameters: on the CPU, float32 or float64, each with the trials as dimension 0; or groups
-            of them with learning rates of their own: ``[{"params": [...], "lr": 1.0}, ...]``.
-        lr: the learning rate of parameters without one of their own, > 0.
+            of them with separate learning rates: ``[{"params": [...], "lr": 1.0}, ...]``.
+        lr: the learning rate of groups that have none, > 0.
 
     Raises:
         ValueError: if a learning rate is not a positive number, or a group has other options.
@@ -51,7 +51,7 @@ class LaneAdam:
         self.lr = check_number("lr", lr, 0, low_open=True)
         groups = grouped(parameters, self.lr)
         for name in sorted({name for group in groups for name in group} - {"params", "lr"}):
-            raise ValueError(f"a group of parameters has 'params' and 'lr', got {name!r}")
+            raise ValueError(f"a parameter group may have 'params' and 'lr' only, got {name!r}")
         self.parameters = [p for group in groups for p in group["params"]]
         self.rates = [group["lr"] for group in groups for _ in group["params"]]
         self.steps = 0
@@ -60,22 +60,24 @@ class LaneAdam:
         self._views = [Views(t) for t in (self.parameters, self.exp_avg, self.exp_avg_sq)]
 
     def zero_grad(self) -> None:
-        """Forget the gradients."""
+        """Discard the gradients."""
         for parameter in self.parameters:
             parameter.grad = None
 
     def step(self, active: Tensor | None = None) -> None:
-        """One step of the trials in ``active`` [trials] bool; None moves all of them.
+        """Update the trials in ``active`` [trials] bool; None means all.
 
         Raises:
-            ValueError: if ``active`` has not an entry for each trial.
+            ValueError: if the length of ``active`` is not the number of trials.
         """
         which = None if active is None else active.numpy()
         if which is not None:
             for parameter in self.parameters:
                 if len(which) != len(parameter):
                     trials = len(parameter)
-                    raise ValueError(f"active is [{len(which)}], but there are {trials} trials")
+                    raise ValueError(
+                        f"active has shape [{len(which)}], but there are {trials} trials"
+                    )
         self.steps += 1
         correction1 = 1 - self.beta1**self.steps
         correction2 = 1 - self.beta2**self.steps
@@ -99,7 +101,7 @@ class LaneAdam:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where ``state_dict`` was taken."""
+        """Restore a ``state_dict``."""
         self.steps = state["steps"]
         for name in ("exp_avg", "exp_avg_sq"):
             for i, own in enumerate(getattr(self, name)):
@@ -108,7 +110,7 @@ class LaneAdam:
 
 @compiled()
 def _adam(active, p, m, v, gradient, beta1, beta2, eps, step_size, correction):
-    """A step of the active rows; twin: ``torch.optim.Adam``."""
+    """One step of the active rows; twin: ``torch.optim.Adam``."""
     numbers = np.array([1 - beta1, beta2, 1 - beta2, eps, step_size, correction]).astype(p.dtype)
     p, m, v, gradient = p.reshape(-1), m.reshape(-1), v.reshape(-1), gradient.reshape(-1)
     size_of_row = len(p) // len(active)
@@ -124,7 +126,7 @@ def _adam(active, p, m, v, gradient, beta1, beta2, eps, step_size, correction):
 
 @compiled()
 def _advance(p, m, v, gradient, numbers):
-    """A step of rows that follow each other."""
+    """One step of adjacent rows."""
     gain1, keep2, gain2 = numbers[0], numbers[1], numbers[2]
     small, size, root = numbers[3], numbers[4], numbers[5]
     for i in range(len(p)):

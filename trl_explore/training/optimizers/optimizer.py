@@ -1,4 +1,4 @@
-"""What the trainer needs of an optimiser, and the optimisers of torch by name, over lanes."""
+"""The trainer's interface to an optimiser, and torch's optimisers over independent trials."""
 
 # numba rewrites signatures:
 # pyright: reportCallIssue=false
@@ -18,33 +18,33 @@ from trl_explore.checks import check_number
 from trl_explore.numerics.compiled.cache import compiled
 
 Parameters = Iterable[nn.Parameter] | Iterable[Mapping[str, Any]]
-"""Parameters, or groups of them as torch's optimisers take them: {"params": [...], "lr": 1.0}."""
+"""Parameters, or parameter groups as in torch: {"params": [...], "lr": 1.0}."""
 
 
 class TrialOptimizer(Protocol):
-    """What the trainer needs: an optimiser over parameters [trials, ...]."""
+    """The interface that the trainer uses: an optimiser over parameters [trials, ...]."""
 
     parameters: list[nn.Parameter]
 
     def zero_grad(self) -> None:
-        """Forget the gradients."""
+        """Discard the gradients."""
         ...
 
     def step(self, active: Tensor | None = None) -> None:
-        """One step of the trials in ``active`` [trials] bool; None moves all of them."""
+        """Update the trials in ``active`` [trials] bool; None means all."""
         ...
 
     def state_dict(self) -> dict[str, Any]:
-        """What the next steps depend on, besides parameters and gradients."""
+        """All that the next steps depend on, except parameters and gradients."""
         ...
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where ``state_dict`` was taken."""
+        """Restore a ``state_dict``."""
         ...
 
 
 def grouped(parameters: Parameters, lr: float) -> list[dict[str, Any]]:
-    """The parameters in groups, each with its learning rate: its own, or ``lr``.
+    """The parameter groups, each with a learning rate: its own, or ``lr``.
 
     Raises:
         ValueError: if a learning rate is not a positive number.
@@ -61,10 +61,10 @@ def grouped(parameters: Parameters, lr: float) -> list[dict[str, Any]]:
 
 
 class Views:
-    """Arrays [rows, elements] in the memory of tensors; kept, and replaced where that has moved.
+    """Arrays [rows, elements] that share memory with tensors; renewed if that memory has moved.
 
     Args:
-        tensors: on the CPU and contiguous; read at every call, so that others can take their place.
+        tensors: on the CPU and contiguous; read at every call, so that they can be replaced.
 
     Example:
         >>> import torch
@@ -82,7 +82,7 @@ class Views:
 
     def __call__(self) -> list[NDArray[Any]]:
         """The arrays, in the order of the tensors."""
-        # A view keeps its memory alive, so that nothing else can lie in the same place.
+        # A view keeps its memory alive, so no other tensor can have the same address.
         places = [(t.data_ptr(), t.shape) for t in self.tensors]
         if places != self._places:
             self._arrays = [t.detach().view(len(t), -1).numpy() for t in self.tensors]
@@ -103,20 +103,20 @@ def all_finite(rows: NDArray[Any]) -> bool:
 def _all_finite(x):
     """Whether all numbers are finite; twin: ``numpy.isfinite(x).all()``."""
     broken = 0
-    for i in range(len(x)):  # no early exit, so that it becomes vector instructions
+    for i in range(len(x)):  # no early exit, so that the loop is vectorised
         broken += (x[i] - x[i]) != 0
     return broken == 0
 
 
 class LaneOptimizer:
-    """Any elementwise torch optimiser over parameters [trials, ...], moving active trials only.
+    """An elementwise torch optimiser over parameters [trials, ...] that updates active trials only.
 
-    A gradient of zero does not hold a stopped trial still: momentum would move its weights on. Its
-    rows of the parameters and of the optimiser's state are put back as they were.
+    A zero gradient does not stop a trial: momentum would still change its weights. So the rows of
+    stopped trials are restored, in the parameters and in the optimiser's state.
 
     Args:
         factory: parameters -> optimiser, such as ``functools.partial(torch.optim.SGD, lr=0.05)``.
-        parameters: each with the trials as dimension 0; or groups of them, as torch takes them.
+        parameters: each with the trials as dimension 0; or parameter groups, as in torch.
     """
 
     def __init__(
@@ -128,12 +128,12 @@ class LaneOptimizer:
         self.parameters = [p for group in self.optimizer.param_groups for p in group["params"]]
 
     def zero_grad(self) -> None:
-        """Forget the gradients."""
+        """Discard the gradients."""
         self.optimizer.zero_grad(set_to_none=True)
 
     @torch.no_grad()
     def step(self, active: Tensor | None = None) -> None:
-        """One step of the trials in ``active`` [trials] bool; None moves all of them."""
+        """Update the trials in ``active`` [trials] bool; None means all."""
         if active is None or bool(active.all()):
             self.optimizer.step()
             return
@@ -144,7 +144,7 @@ class LaneOptimizer:
             rows.index_copy_(0, stopped, before)
 
     def rows(self) -> list[Tensor]:
-        """Every tensor with one row per trial: parameters and the state that goes with them."""
+        """Every tensor with one row per trial: the parameters and their optimiser state."""
         found: list[Tensor] = []
         for parameter in self.parameters:
             state = self.optimizer.state.get(parameter, {}).values()
@@ -153,7 +153,7 @@ class LaneOptimizer:
         return found
 
     def state_dict(self) -> dict[str, Any]:
-        """The state of every parameter, by its place among the parameters."""
+        """The state of every parameter, by its index."""
         return {
             str(i): {
                 name: value.clone() if isinstance(value, Tensor) else value
@@ -164,7 +164,7 @@ class LaneOptimizer:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where ``state_dict`` was taken."""
+        """Restore a ``state_dict``."""
         for i, parameter in enumerate(self.parameters):
             self.optimizer.state[parameter] = {
                 name: value.clone() if isinstance(value, Tensor) else value
@@ -176,16 +176,16 @@ ELEMENTWISE = (
     *("ASGD", "Adadelta", "Adagrad", "Adam", "AdamW", "Adamax", "NAdam", "RAdam", "RMSprop"),
     *("Rprop", "SGD"),
 )
-"""The optimisers of ``torch.optim`` that treat every element of a parameter by itself."""
+"""The optimisers of ``torch.optim`` that update every element of a parameter independently."""
 COUPLING = {
     "Adafactor": "its second moments are means over rows and columns of a parameter",
-    "LBFGS": "its step is a function of all elements, and of the loss as a whole",
+    "LBFGS": "its step depends on all elements and on the total loss",
     "Muon": "it orthogonalises a parameter as one matrix",
-    "SparseAdam": "it takes sparse gradients only; Adam is the same for these dense ones",
+    "SparseAdam": "it takes sparse gradients only; use Adam for these dense ones",
 }
-"""Those that would couple the trials or do not serve, and why."""
+"""The optimisers that would couple the trials or do not apply, with the reason."""
 HELD = ("params", "lr", "foreach", "fused", "capturable", "differentiable")
-"""Arguments that are not options: set elsewhere, or held so that elements are treated alike."""
+"""Arguments that are not options: set elsewhere, or fixed so that all elements round alike."""
 
 
 def torch_optimizer(
@@ -195,17 +195,17 @@ def torch_optimizer(
     lr: float = 0.05,
     options: Mapping[str, Any] | None = None,
 ) -> LaneOptimizer:
-    """An elementwise optimiser of ``torch.optim`` over lanes, by its name.
+    """An elementwise optimiser of ``torch.optim`` over independent trials, by name.
 
     Args:
-        parameters: the parameters, or groups of them.
+        parameters: the parameters, or parameter groups.
         name: one of ``ELEMENTWISE``.
         lr: the learning rate, > 0.
         options: further arguments of the torch class, such as ``{"momentum": 0.9}``.
 
     Raises:
-        ValueError: if the optimiser would couple the trials (``COUPLING`` says why) or is unknown,
-            or an option is not one of its arguments or out of range.
+        ValueError: if the optimiser is unknown or would couple the trials (see ``COUPLING``), or
+            an option is not one of its arguments or is out of range.
 
     Example:
         >>> weight = torch.nn.Parameter(torch.zeros(2, 1))
@@ -224,7 +224,7 @@ def torch_optimizer(
     allowed = [argument for argument in arguments if argument not in HELD]
     for option in options or {}:
         if option not in allowed:
-            raise ValueError(f"{name} has the options {', '.join(allowed)}, got {option!r}")
+            raise ValueError(f"{name} has only the options {', '.join(allowed)}, got {option!r}")
     check_number("lr", lr, 0, low_open=True)
     held = {argument: False for argument in ("foreach", "fused") if argument in arguments}
     return LaneOptimizer(
