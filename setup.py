@@ -1,4 +1,4 @@
-"""What pyproject.toml cannot say: the folder conf/ is the package's data, whatever the rooms."""
+"""Adds the folder conf/ to the package as data, which pyproject.toml cannot express."""
 
 from setuptools import find_packages, setup
 

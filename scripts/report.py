@@ -1,4 +1,4 @@
-"""From a checkout, ``python scripts/report.py ...`` is ``trl-explore report ...``."""
+"""``trl-explore report ...`` from a checkout: ``python scripts/report.py ...``."""
 
 import sys
 

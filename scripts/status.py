@@ -1,4 +1,4 @@
-"""From a checkout, ``python scripts/status.py ...`` is ``trl-explore status ...``."""
+"""``trl-explore status ...`` from a checkout: ``python scripts/status.py ...``."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""From a checkout, ``python scripts/time_trials.py ...`` is ``trl-explore time ...``."""
+"""``trl-explore time ...`` from a checkout: ``python scripts/time_trials.py ...``."""
 
 import sys
 

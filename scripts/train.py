@@ -1,4 +1,4 @@
-"""From a checkout, ``python scripts/train.py ...`` is ``trl-explore train ...``."""
+"""``trl-explore train ...`` from a checkout: ``python scripts/train.py ...``."""
 
 import sys
 

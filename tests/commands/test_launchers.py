@@ -178,7 +178,7 @@ def test_a_launcher_that_breaks_loses_no_finished_job(tmp_path, capsys):
 def test_a_job_without_a_word_is_in_use_or_was_cut_off(tmp_path, capsys):
     with Lock(tmp_path / "b"):
         cut, used = collect(sweep_of(tmp_path, *"ab"), lambda: None)
-    assert cut.error == "it was cut off; the same command goes on"
+    assert cut.error == "cut off; run the same command to resume"
     assert used.error == f"{tmp_path / 'b'} is in use: another process runs this job"
     assert capsys.readouterr().err.count("error: ") == 2
 

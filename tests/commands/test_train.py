@@ -272,7 +272,7 @@ def test_a_finished_folder_is_left_alone(place, folder, run_many):
     assert snapshot(place) == before
 
 
-def test_restart_begins_anew(folder, run_many, tmp_path):
+def test_restart_starts_over(folder, run_many, tmp_path):
     shutil.copytree(folder, tmp_path / "outputs" / "debug")
     job = job_of(tmp_path / "outputs" / "debug", "softmax")
     before, finished = payload(job), snapshot(job)

@@ -136,4 +136,6 @@ def test_the_list_of_commands():
         "train", "report", "status", "time",
     ]  # fmt: skip
     assert (wrong.returncode, wrong.stdout) == (1, "")
-    assert wrong.stderr == "error: no command 'tarin'; there are train, report, status, time\n"
+    assert (
+        wrong.stderr == "error: unknown command 'tarin'; available: train, report, status, time\n"
+    )

@@ -475,16 +475,16 @@ def test_differences():
     old = {"seed": 0, "env": {"id": "a", "max_steps": 500}, "output_dir": "x", "restart": False}
     assert differences(old, old) == []
     assert differences(old, {**old, "output_dir": "y", "restart": True, "threads": 4}) == []
-    assert differences(old, {**old, "seed": 1}) == ["seed: 0 there, 1 here"]
+    assert differences(old, {**old, "seed": 1}) == ["seed: 0 before, 1 now"]
     assert differences(old, {**old, "seed": 0.0}) == []
-    assert differences(old, {**old, "seed": False}) == ["seed: 0 there, False here"]
+    assert differences(old, {**old, "seed": False}) == ["seed: 0 before, False now"]
     assert differences(old, {**old, "env": {"id": "b", "max_steps": 9}}) == [
-        "env.id: a there, b here",
-        "env.max_steps: 500 there, 9 here",
+        "env.id: a before, b now",
+        "env.max_steps: 500 before, 9 now",
     ]
     # Within a group the names of the free keys are results' keys again.
     assert differences({"env": {"threads": 1}}, {"env": {"threads": 2}}) == [
-        "env.threads: 1 there, 2 here"
+        "env.threads: 1 before, 2 now"
     ]
 
 

@@ -169,7 +169,7 @@ def test_a_full_disk_ends_no_training(build, tmp_path, monkeypatch, caplog):
         trainer.run()
     assert outcome(trainer) == outcome(straight)
     (record,) = caplog.records
-    assert record.getMessage().startswith("no checkpoint can be written (No space left on device)")
+    assert record.getMessage().startswith("cannot write a checkpoint (No space left on device)")
 
 
 def broken_off(trainer, frames: int) -> None:

@@ -159,7 +159,7 @@ def test_an_interrupted_job_goes_on_with_other_threads(name, threads, tmp_path, 
 
 
 @pytest.mark.parametrize("damaged", [0, 1])
-def test_a_damaged_shard_begins_anew_and_the_others_go_on(damaged, tmp_path, monkeypatch, caplog):
+def test_a_damaged_shard_starts_over_and_the_others_resume(damaged, tmp_path, monkeypatch, caplog):
     name = "per trial"
     expected = straight(name, tmp_path / "one")
     job = tmp_path / "job"
@@ -171,7 +171,7 @@ def test_a_damaged_shard_begins_anew_and_the_others_go_on(damaged, tmp_path, mon
     for path in (job / "checkpoint" / str(damaged)).glob("?.safetensors"):
         path.write_bytes(path.read_bytes()[:-3])
     again, checkpoints = begin(config, job, Interrupts(lambda: None))
-    assert "its trials begin anew" in caplog.text
+    assert "its trials start over" in caplog.text
     assert checkpoints.sizes == [4, 5]
     iterations = [trainer.trials.iteration for trainer in again.trainers]
     assert [n == 0 for n in iterations] == [k == damaged for k in range(2)]

@@ -57,7 +57,7 @@ def test_a_damaged_recording_is_a_gap_and_scores_are_still_drawn(tmp_path, make_
     (job / "episodes.csv").write_text(text.replace(",0.25,", ",7.0,", 1))
     evidence = gather(load([tmp_path]), resamples=99)
     (gap,) = evidence.gaps
-    assert "exploratory leaves the range 0 to 1" in gap.why
+    assert "exploratory is outside the range 0 to 1" in gap.why
     assert len(evidence.groups[0].traces.learning) == 2
     assert evidence.groups[0].traces.diagnostics == {}
 

@@ -1,4 +1,4 @@
-"""``trl-explore COMMAND ...``: import only the module of the command, and run it.
+"""``trl-explore COMMAND ...``: import only the module of the command and run it.
 
 ``python scripts/train.py ...`` is ``trl-explore train ...`` from a checkout.
 """
@@ -21,7 +21,7 @@ LABORATORY = {
     "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas",
     "safetensors", "scipy",
 }  # fmt: skip
-"""Modules of the packages that the commands need beyond the core, from the extra ``lab``."""
+"""Modules that the commands need in addition to the core; the extra ``lab`` installs them."""
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -31,7 +31,7 @@ def main(words: Sequence[str] | None = None) -> int:
         words: the name of the command and its arguments; by default those of the process.
 
     Returns:
-        The exit status: 0, or 1 after one line on stderr that says what is wrong.
+        The exit status: 0, or 1 after one line on stderr that describes the error.
     """
     name, *arguments = (sys.argv[1:] if words is None else words) or ["--help"]
     if name in ("-h", "--help"):
@@ -40,7 +40,7 @@ def main(words: Sequence[str] | None = None) -> int:
         print("\ntrl-explore COMMAND --help shows the arguments of a command")
         return 0
     if name not in COMMANDS:
-        print(f"error: no command {name!r}; there are {', '.join(COMMANDS)}", file=sys.stderr)
+        print(f"error: unknown command {name!r}; available: {', '.join(COMMANDS)}", file=sys.stderr)
         return 1
     if name == "train":
         signals.leave_on_signals()

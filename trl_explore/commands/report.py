@@ -1,4 +1,4 @@
-"""Report: ``trl-explore report DIR [DIR ...] [--out DIR]``."""
+"""Write the report: ``trl-explore report DIR [DIR ...] [--out DIR]``."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from trl_explore.report.build import build_report
 
 
 def main() -> int:
-    """Make the report; anything that is wrong is one line on stderr, and status 1."""
+    """Write the report; an error prints one line on stderr and returns status 1."""
     parser = argparse.ArgumentParser(
-        description="Turn any set of job and sweep folders into one HTML page with its figures"
-        " and tables."
+        description="Write one HTML page with figures and tables from any set of job and sweep"
+        " folders."
     )
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="job or sweep folder")
-    parser.add_argument("--out", type=Path, help="where to write it (default: first DIR/report)")
+    parser.add_argument("--out", type=Path, help="folder of the report (default: first DIR/report)")
     arguments = parser.parse_args()
     out = arguments.out or arguments.folders[0] / "report"
     try:

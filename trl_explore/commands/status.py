@@ -1,4 +1,4 @@
-"""Status: ``trl-explore status DIR [DIR ...] [--all]``."""
+"""Show the status of sweeps: ``trl-explore status DIR [DIR ...] [--all]``."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from trl_explore.jobs.status import SHOWN, report, survey
 
 
 def main() -> int:
-    """Show how far sweeps are; anything that is wrong is one line on stderr, and status 1."""
+    """Show the status of sweeps; an error prints one line on stderr and returns status 1."""
     parser = argparse.ArgumentParser(
         description="Show which jobs of a sweep are done, running, failed or left."
     )
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="job or sweep folder")
     parser.add_argument(
-        "--all", action="store_true", help=f"the finished jobs too, of sweeps with over {SHOWN}"
+        "--all",
+        action="store_true",
+        help=f"also list finished jobs in sweeps with over {SHOWN} jobs",
     )
     arguments = parser.parse_args()
     try:
@@ -26,6 +28,6 @@ def main() -> int:
     except ResultsError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    except BrokenPipeError:  # the reader, as in "| head", has seen enough
+    except BrokenPipeError:  # the reader, such as "| head", has closed the pipe
         sys.stderr.close()
     return 0

@@ -1,11 +1,10 @@
 """Time single trials of a finished sweep: ``trl-explore time DIR [--trials N]``.
 
-The seconds of a sweep are those of whole batches. The thesis measured something else, the time
-of one trial run by itself. This command runs trials of every finished job in DIR again, each alone
-in this one process, on one thread, in random order over all jobs, after a warm-up that compiles
-and loads everything, and writes ``timings.csv`` into the folder of the sweep, where the timings of
-other jobs stay. Only the training is timed: not the import of packages, not the construction of the
-agent, not the files.
+The seconds in the results of a sweep are those of whole batches. The thesis measured the time of
+single trials that run alone. This command reruns trials of every finished job in DIR, one at a time
+in this process, on one thread, in random order over all jobs, after a warm-up that compiles and
+loads everything. It writes ``timings.csv`` to the folder of the sweep and keeps the timings of
+other jobs there. Only training is timed, not imports, the construction of the agent or files.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ from trl_explore.config import CONF, GROUPS, ConfigError
 from trl_explore.strategies import schedules
 
 ORDER_SEED = 0
-"""Of the order in which the trials are run."""
+"""Seed of the order in which the trials run."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A finished job, and its configuration composed again from ``conf/``."""
+    """A finished job, with its configuration recomposed from ``conf/``."""
 
     folder: Path
     experiment: str
@@ -47,30 +46,30 @@ class Job:
 
 
 def compose_job(folder: Path, config_dir: Path | None = None) -> Job:
-    """Compose the configuration of a job again, from what was typed to start it.
+    """Recompose the configuration of a job from its recorded command-line overrides.
 
     Args:
-        folder: of the job.
-        config_dir: a folder of the user's with further files of the configuration.
+        folder: the folder of the job.
+        config_dir: the user's folder with further configuration files.
 
     Raises:
-        ConfigError: if that is not recorded, would construct something foreign, or gives another
-            configuration than the job had.
+        ConfigError: if the overrides are not recorded, would construct an unknown object, or give
+            another configuration than that of the job.
     """
     run = results.read_run(folder)
     recorded = folder / ".hydra" / "overrides.yaml"
     if not recorded.is_file():
-        raise ConfigError(f"{recorded}: missing, so that the job cannot be run again")
+        raise ConfigError(f"{recorded}: missing; the job cannot be rerun without it")
     try:
         overrides = [str(line) for line in OmegaConf.load(recorded)]
-    except Exception as error:  # whatever a foreign file raises
+    except Exception as error:  # any error of an invalid file
         raise ConfigError(
             f"{recorded}: not a list of overrides ({configuration.first_line(error)})"
         ) from None
     for override in OverridesParser.create().parse_overrides(overrides):
         key = override.key_or_group
         if override.is_sweep_override() or key.startswith("hydra") or "_target_" in key:
-            raise ConfigError(f"{recorded}: {override.input_line!r} is not run again")
+            raise ConfigError(f"{recorded}: {override.input_line!r} is not allowed in a rerun")
     own = [f"hydra.searchpath=['{config_dir.resolve()}']"] if config_dir else []
     composed = compose("train", overrides=[*overrides, *own], return_hydra_config=True)
     choices = dict(composed.hydra.runtime.choices)
@@ -81,17 +80,19 @@ def compose_job(folder: Path, config_dir: Path | None = None) -> Job:
     values = configuration.resolved(composed)
     for target in _targets(values):
         if not _is_known(target, config_dir):
-            raise ConfigError(f"{folder}: {target} is not of this program and is not run again")
-    # Constructors may have got another name; that each trial is the same one is checked when run.
+            raise ConfigError(
+                f"{folder}: unknown object {target}; if it is yours, give --config-dir"
+            )
+    # Constructors may have been renamed; running each trial checks that it is the same.
     changed = [d for d in configuration.differences(run["config"], values) if "._" not in d]
     if changed:
-        raise ConfigError(f"{folder}: conf/ has changed since ({'; '.join(changed)})")
+        raise ConfigError(f"{folder}: conf/ has changed since the job ran ({'; '.join(changed)})")
     return Job(folder, run["experiment"], composed, results.read_trials(folder))
 
 
 @cache
 def _known(config_dir: Path | None) -> frozenset[str]:
-    """What the files of ``conf/`` and the user's own construct; results name nothing else."""
+    """The objects that the files of ``conf/`` and of the user construct; no others are allowed."""
     folders = [CONF, *([config_dir] if config_dir else [])]
     files = [path for f in folders for group in GROUPS for path in (f / group).glob("*.yaml")]
     return frozenset(
@@ -102,7 +103,7 @@ def _known(config_dir: Path | None) -> frozenset[str]:
 
 
 def _is_known(target: Any, config_dir: Path | None = None) -> bool:
-    """Whether a recorded configuration may construct this: as those files do, or a schedule."""
+    """Whether a recorded configuration may construct this: listed there, or a schedule."""
     place, _, name = str(target).rpartition(".")
     kind = vars(schedules).get(name) if place == schedules.__name__ else None
     schedule = isinstance(kind, type) and issubclass(kind, schedules.Schedule)
@@ -117,10 +118,10 @@ def _targets(node: Any) -> list[Any]:
 
 
 def time_trial(job: Job, trial: int) -> tuple[float, int]:
-    """Run one trial by itself; its seconds of training and its frames.
+    """Run one trial alone; return its seconds of training and its number of frames.
 
     Raises:
-        ConfigError: if it took another number of frames than in the job.
+        ConfigError: if the number of frames differs from that in the job.
     """
     config = job.config.copy()
     config.update(trials=1, first_trial=trial, threads=1)
@@ -135,8 +136,8 @@ def time_trial(job: Job, trial: int) -> tuple[float, int]:
     recorded = int(job.trials.set_index("trial")["frames"].to_dict()[trial])
     if frames != recorded:
         raise ConfigError(
-            f"{job.folder}: trial {trial} took {frames} frames by itself and {recorded} in the"
-            " job; the program has changed since"
+            f"{job.folder}: trial {trial} took {frames} frames alone and {recorded} in the"
+            " job; the program has changed since the job ran"
         )
     return seconds, frames
 
@@ -158,13 +159,13 @@ def time_all(jobs: list[Job], trials: int) -> pd.DataFrame:
 
 
 def run(folders: list[Path], trials: int, config_dir: Path | None = None) -> None:
-    """Time the jobs of every sweep below ``folders`` and write their timings."""
+    """Time the jobs of every sweep at or below ``folders`` and write their timings."""
     import torch
 
     torch.set_num_threads(1)
     found = dict.fromkeys(job for folder in folders for job in results.find_jobs(folder))
     if not found:
-        raise ConfigError(f"{', '.join(map(str, folders))}: no finished job")
+        raise ConfigError(f"{', '.join(map(str, folders))}: no finished job found")
     configuration.register_resolvers()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         jobs = [compose_job(folder, config_dir) for folder in found]
@@ -176,7 +177,7 @@ def run(folders: list[Path], trials: int, config_dir: Path | None = None) -> Non
         here = {n for n, job in zip(names, jobs, strict=True) if job.folder.parent == sweep}
         mask = [pair in here for pair in zip(timings["experiment"], timings["job"], strict=True)]
         tables = [timings.loc[mask]]
-        if (before := kept[sweep]) is not None:  # those of the other jobs stay
+        if (before := kept[sweep]) is not None:  # keep the timings of other jobs
             others = [
                 pair not in here for pair in zip(before["experiment"], before["job"], strict=True)
             ]
@@ -186,20 +187,22 @@ def run(folders: list[Path], trials: int, config_dir: Path | None = None) -> Non
 
 
 def main() -> int:
-    """Parse the command line; anything that is wrong is one line on stderr, and status 1."""
+    """Time trials; an error prints one line on stderr and returns status 1."""
     parser = argparse.ArgumentParser(description="Time single trials of a finished sweep.")
     parser.add_argument(
         "folders", nargs="+", type=Path, metavar="DIR", help="folder of a sweep or job"
     )
-    parser.add_argument("--trials", type=int, default=10, help="per job (default: %(default)s)")
     parser.add_argument(
-        "--config-dir", type=Path, metavar="DIR", help="the one that the jobs were trained with"
+        "--trials", type=int, default=10, help="trials of each job (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--config-dir", type=Path, metavar="DIR", help="the --config-dir used to train the jobs"
     )
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.WARNING)
     try:
         if arguments.trials < 1:
-            raise ConfigError(f"--trials {arguments.trials}: at least 1")
+            raise ConfigError(f"--trials must be at least 1, got {arguments.trials}")
         if (own := arguments.config_dir) is not None and not own.is_dir():
             raise ConfigError(f"--config-dir {own}: no such folder")
         run(arguments.folders, arguments.trials, own)

@@ -34,17 +34,17 @@ if TYPE_CHECKING:
     from trl_explore.training.record import Trials
 
 EXPECTED = (ValueError, OmegaConfBaseException, OSError, MemoryError)
-"""Errors whose message says enough; before others stands their type."""
+"""Errors whose message suffices; other messages are prefixed with the type of the error."""
 TRACEBACK = "TRL_EXPLORE_TRACEBACK"
-"""Set in the environment, also of other processes, where the user asked for whole tracebacks."""
+"""Environment variable, inherited by workers; set if the user asked for full tracebacks."""
 
 
 def run(config: DictConfig) -> None:
-    """One job of a sweep, or the only one; in a process of a launcher, if there is one."""
+    """Run one job, in this process or in a worker of a launcher, and record how it ended."""
     folder = configuration.current_folder()
     if configuration.is_repeated():
         with suppress(OSError):
-            folder.rmdir()  # Hydra has made it
+            folder.rmdir()  # created by Hydra
         return
     if configuration.is_worker():
         begin_worker()
@@ -52,15 +52,17 @@ def run(config: DictConfig) -> None:
         try:
             train(config, folder)
         except Exception:
-            signals.check()  # it may be what a signal has become on its way
+            signals.check()  # the error may be a converted signal
             raise
-    except Exception as error:  # whatever ends a job, the others of the sweep are run
+    except Exception as error:  # no error of a job stops the other jobs of the sweep
         if TRACEBACK in os.environ:
             traceback.print_exc()
         line = configuration.describe(error)
         if not isinstance(error, EXPECTED):
             line = f"{type(error).__name__}: {line}"
-        other = isinstance(error, LockedError)  # the process that has it tells how it ends
+        other = isinstance(
+            error, LockedError
+        )  # the process that holds the lock reports the outcome
         configuration.end_job(folder, line, record=not other)
     except KeyboardInterrupt as error:
         if not configuration.is_worker():
@@ -71,7 +73,7 @@ def run(config: DictConfig) -> None:
 
 
 def begin_worker() -> None:
-    """Only whole lines come from a process that shares its terminal with others."""
+    """Print only whole lines, because this process shares the terminal with others."""
     from trl_explore.jobs.console import Progress
 
     Progress.quiet = True
@@ -81,7 +83,7 @@ def begin_worker() -> None:
 
 
 def train(config: DictConfig, folder: Path) -> None:
-    """Run a job into its folder, unless it is there already."""
+    """Run a job and write its folder, unless the job is already finished."""
     choices = configuration.current_choices()
     configuration.check_keys(config, choices)
     configuration.fill_threshold(config)
@@ -92,7 +94,7 @@ def train(config: DictConfig, folder: Path) -> None:
 
     lock = Lock(folder)
     with lock, Interrupts(lock.release) as interrupts:
-        if results.is_finished(folder) and not config.restart:  # by now
+        if results.is_finished(folder) and not config.restart:  # finished in the meantime
             leave_finished(folder, values)
             return
         checkpoints = Checkpoints(folder, load=not config.restart)
@@ -102,32 +104,32 @@ def train(config: DictConfig, folder: Path) -> None:
 
 
 def leave_finished(folder: Path, values: dict[str, Any]) -> None:
-    """Say that a job is finished, and remove what a kill in its last moment left there."""
+    """Report that a job is finished, and remove leftovers of a kill at its very end."""
     record = results.read_run(folder)
     differences = configuration.differences(record["config"], values)
     if differences:
         raise ConfigError(
-            f"{folder} holds a job of another configuration ({'; '.join(differences)}); "
-            "restart=true begins anew"
+            f"{folder} holds a job with another configuration ({'; '.join(differences)}); "
+            "restart=true starts over"
         )
     try:
         results.check_whole(folder, record)
     except ResultsError as error:
-        raise ResultsError(f"{error}; restart=true begins anew") from None
+        raise ResultsError(f"{error}; restart=true starts over") from None
     if (folder / CHECKPOINT).exists() or (folder / LOCK).exists():
         with suppress(OSError), Lock(folder):
             Checkpoints(folder, load=False).clear()
-    print(f"{folder.name}: finished before, nothing to do (restart=true begins anew)")
+    print(f"{folder.name}: already finished, nothing to do (restart=true starts over)")
 
 
 def check_same(folder: Path, header: dict[str, Any], values: dict[str, Any]) -> None:
-    """Refuse to go on from a checkpoint of another configuration, or of other packages."""
+    """Refuse to resume from a checkpoint of another configuration or other package versions."""
     differences = configuration.differences(header["config"], values)
     differences += configuration.differences(header["versions"], results.versions(), "versions.")
     if differences:
         raise ConfigError(
-            f"{folder} holds an unfinished job of another configuration "
-            f"({'; '.join(differences)}); restart=true begins anew"
+            f"{folder} holds an unfinished job with another configuration "
+            f"({'; '.join(differences)}); restart=true starts over"
         )
 
 
@@ -138,7 +140,7 @@ def train_from(
     checkpoints: Checkpoints,
     interrupts: Interrupts,
 ) -> None:
-    """Train from the checkpoints, or from the beginning, and write the results."""
+    """Train from the checkpoints or from the start, and write the results."""
     import torch
 
     from trl_explore.jobs.console import Progress
@@ -160,7 +162,7 @@ def train_from(
             interrupts.check()
             trials = shards.run(config.threads)
             progress.close()
-            with interrupts.held():  # what is trained is not thrown away
+            with interrupts.held():  # a finished training is always written
                 results.write_job(
                     folder,
                     trials,
@@ -185,42 +187,44 @@ def train_from(
         progress.close()
         shards.close()
         for trainer in shards.trainers:
-            trainer.on_iteration = None  # a cycle, which would keep the data of job after job
+            trainer.on_iteration = (
+                None  # break a reference cycle that keeps the data of each job alive
+            )
     checkpoints.clear()
     interrupts.check()
 
 
 def after_iteration(progress: Progress, saver: Saver, trials: Trials) -> None:
-    """Show how far the job is, and take a checkpoint if it is time to."""
+    """Update the progress line, and save a checkpoint if one is due."""
     progress()
     saver(trials)
 
 
 def main() -> int:
-    """Run Hydra; anything that the user did wrong is one line on stderr, and status 1."""
+    """Run Hydra; a user error prints one line on stderr and returns status 1."""
     logging.basicConfig(format="%(message)s", stream=sys.stderr)
     logging.getLogger("trl_explore").setLevel(logging.INFO)
     if os.environ.get("HYDRA_FULL_ERROR"):
         os.environ[TRACEBACK] = "1"
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # hand errors over instead of printing tracebacks
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # make Hydra raise errors instead of printing tracebacks
     configuration.register_resolvers()
     sys.argv[1:] = sorted(sys.argv[1:], key=_place)
     try:
         return sweep()
     except Interrupted as error:
-        print(f"{error}{error.where}; the same command goes on", file=sys.stderr)
+        print(f"{error}{error.where}; run the same command to resume", file=sys.stderr)
         return error.status
 
 
 def _place(word: str) -> int:
-    """Flags stand first, overrides last: argparse takes no overrides on both sides of a flag."""
+    """Put flags first and overrides last: argparse rejects overrides on both sides of a flag."""
     if word in ("-m", "--multirun"):
         return 0
     return 2 if word[:1] == "~" or (word[:1] != "-" and "=" in word) else 1
 
 
 def sweep() -> int:
-    """All jobs of the command; returns the exit status."""
+    """Run all jobs of the command; return the exit status."""
     try:
         signals.raise_on_signals()
         start = hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
@@ -244,7 +248,7 @@ def sweep() -> int:
 
 
 def show(folders: list[Path]) -> None:
-    """The table over all jobs, and where the files are."""
+    """Print the table of all jobs, and the folder of the results."""
     from trl_explore.jobs.console import table, warnings
     from trl_explore.jobs.reading import read_job
 

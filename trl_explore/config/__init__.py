@@ -1,7 +1,7 @@
-"""From a Hydra configuration to built objects: names, checks, and one line for what is wrong.
+"""Check, name and build jobs from a Hydra configuration; each error is one line.
 
-The only part of the package that knows Hydra and OmegaConf. It imports torch only when a job is
-built, so that ``--help``, ``--cfg`` and tab completion are quick.
+Only this package and the commands use Hydra and OmegaConf. It imports torch only to build a job, so
+that ``--help``, ``--cfg`` and tab completion are fast.
 """
 
 from trl_explore.checks import first_line

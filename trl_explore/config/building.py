@@ -1,4 +1,4 @@
-"""From a configuration to built objects; and what Hydra knows of the running job."""
+"""Build the objects of a job from its configuration; query Hydra about the running job."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ INTEGERS = {
     "evaluate_every": (0, 10**9),
     "evaluate_episodes": (1, 10**6),
 }
-"""Keys of the top level that hold an integer, and its bounds."""
+"""The top-level keys that hold an integer, and their bounds."""
 STOP_ON = ("training", "evaluation")
 STOPPING = ("max_iterations", "score_threshold", "score_window")
-"""What an environment's file says of the stopping rule; the trainer's business."""
+"""The keys of an environment's file that belong to the stopping rule; the trainer uses them."""
 
 
 def fill_threshold(config: DictConfig) -> None:
-    """Put the score threshold that gymnasium registers where the configuration has none.
+    """If the configuration has no score threshold, set the one that gymnasium registers.
 
     Raises:
-        ConfigError: if it registers none either.
+        ConfigError: if gymnasium registers none.
     """
     from trl_explore.envs.gym import reward_threshold
 
@@ -60,14 +60,14 @@ def fill_threshold(config: DictConfig) -> None:
 
 
 def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shards:
-    """Everything that a job needs, built from its configuration.
+    """Build everything that a job needs from its configuration.
 
     Args:
         config: the configuration.
-        sizes: the sizes of the shards; None: as its trials and threads suggest.
+        sizes: the sizes of the shards; None: chosen from the numbers of trials and threads.
 
     Raises:
-        ConfigError: if a value is not allowed, before anything is trained or written.
+        ConfigError: if a value is not allowed; nothing has been trained or written.
     """
     from trl_explore.training.shards import Shards, partition
 
@@ -76,7 +76,7 @@ def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shar
         sizes = partition(config.trials, config.threads)
         first = _build_trainer(config, slice(0, sizes[0]))
         trainers = [first]
-        if len(sizes) > 1 and not first.parallel:  # then fewer and larger steps are faster
+        if len(sizes) > 1 and not first.parallel:  # one large shard is faster
             first.close()
             trainers, sizes = [_build_trainer(config, slice(0, config.trials))], [config.trials]
     else:
@@ -88,7 +88,7 @@ def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shar
 
 
 def build_trainer(config: DictConfig) -> Trainer:
-    """All trials of a job in one trainer.
+    """Build one trainer for all trials of a job.
 
     Raises:
         ConfigError: if a value is not allowed.
@@ -98,7 +98,7 @@ def build_trainer(config: DictConfig) -> Trainer:
 
 
 def _check(config: DictConfig) -> None:
-    """Refuse numbers of the top level that are not allowed."""
+    """Reject top-level numbers that are not allowed."""
     fill_threshold(config)
     for key, (low, high) in INTEGERS.items():
         _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))
@@ -106,7 +106,7 @@ def _check(config: DictConfig) -> None:
 
 
 def _build_trainer(config: DictConfig, rows: slice) -> Trainer:
-    """The trainer of some of the trials."""
+    """Build the trainer of some of the trials."""
     from tensordict.nn import TensorDictSequential
 
     from trl_explore.collectors import auto_collector
@@ -170,7 +170,7 @@ def _build_trainer(config: DictConfig, rows: slice) -> Trainer:
 def _evaluator(
     config: DictConfig, policy: Any, strategy: Any, trials: int, streams: Mapping[str, int]
 ) -> Evaluator | None:
-    """What plays the greedy policy; None: nothing does."""
+    """Build the evaluator of the greedy policy; None if evaluation is off."""
     from tensordict.nn import TensorDictSequential
     from torchrl.envs.utils import ExplorationType
 
@@ -202,7 +202,7 @@ def _evaluator(
 
 
 def _parameters(policy: nn.Module, baseline: Baseline) -> Iterable[Any]:
-    """What the optimiser moves: the policy, and the baseline at a learning rate of its own."""
+    """The parameters to optimise: the policy, and the baseline with its own learning rate."""
     learned = list(baseline.parameters())
     if not learned:
         return policy.parameters()
@@ -212,7 +212,7 @@ def _parameters(policy: nn.Module, baseline: Baseline) -> Iterable[Any]:
 def _instantiate(
     config: DictConfig, group: str, *, without: Collection[str] = ()
 ) -> Callable[..., Any]:
-    """The constructor that a group's configuration stands for, some of its keys left out."""
+    """The constructor that a group's configuration describes, without some of its keys."""
 
     def construct(*args: Any, **kwargs: Any) -> Any:
         def call() -> Any:
@@ -229,7 +229,7 @@ def _instantiate(
 
 
 def _build(group: str | None, call: Callable[[], Any]) -> Any:
-    """Call, and turn an error of the arguments into one line with the group's name."""
+    """Call, and convert an error in the arguments to one line with the name of the group."""
     try:
         return call()
     except ConfigError:
@@ -237,7 +237,7 @@ def _build(group: str | None, call: Callable[[], Any]) -> Any:
     except InstantiationException as error:
         raise ConfigError(_of(group, describe(error.__cause__ or error))) from error
     except MemoryError as error:
-        raise ConfigError(_of(group, "not enough memory for so many trials")) from error
+        raise ConfigError(_of(group, "not enough memory; reduce trials")) from error
     except (ValueError, TypeError, OverflowError) as error:
         raise ConfigError(_of(group, describe(error))) from error
 
@@ -247,7 +247,7 @@ def _of(group: str | None, message: str) -> str:
 
 
 def current_choices() -> dict[str, str | None]:
-    """Which option of every group the running job has."""
+    """The chosen option of every group in the running job."""
     return dict(HydraConfig.get().runtime.choices)
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, and what differs between two: one line each."""
+"""Errors in a configuration, and differences between two, one line each."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from trl_explore.config.files import (
 
 
 def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
-    """Refuse keys that no file of ``conf/`` knows, which Hydra lets in with ``+key=value``.
+    """Reject keys that no file of ``conf/`` has, which Hydra accepts as ``+key=value``.
 
     Raises:
-        ConfigError: naming the key and the known ones.
+        ConfigError: if a key is unknown or missing; the message names it and the known keys.
     """
     for name in schedules_of(choices):
         if not re.fullmatch(r"strategy\.\w+", name):
             raise ConfigError(
-                "a schedule belongs to a parameter of the strategy, "
+                "a schedule must name a parameter of the strategy, "
                 f"+schedule@strategy.NAME=…, got {name!r}"
             )
     defaults = defaults_of(choices)
@@ -40,7 +40,7 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
         if name not in known:
             raise ConfigError(f"unknown key {name!r}; known: {', '.join(sorted(known))}")
     for name in sorted(known - {str(key) for key in config}):
-        raise ConfigError(f"the key {name!r} has been removed, but is needed")
+        raise ConfigError(f"missing key: {name}")
     for name in ("episodes", "restart", "diagnostics"):
         if not isinstance(config[name], bool):
             raise ConfigError(f"{name} must be true or false, got {config[name]!r}")
@@ -55,7 +55,7 @@ def _check_group(config: DictConfig, group: str, option: str | None) -> None:
         raise ConfigError(f"{group} must name a file of conf/{group}/, got {config[group]}")
     allowed = {str(key) for key in load(f"{group}/{option}")}
     if not allowed:
-        return  # a file of the user's own; the constructor checks
+        return  # the user's own file; the constructor checks its keys
     given = {str(key) for key in config[group]}
     for name in sorted(given - allowed):
         shown = sorted(key for key in allowed if not key.startswith("_"))
@@ -63,25 +63,25 @@ def _check_group(config: DictConfig, group: str, option: str | None) -> None:
             f"unknown key '{group}.{name}'; {group}={option} has: {', '.join(shown) or 'no keys'}"
         )
     for name in sorted(allowed - given):
-        raise ConfigError(f"the key '{group}.{name}' has been removed, but is needed")
+        raise ConfigError(f"missing key: {group}.{name}")
 
 
 def _check_schedule(
     config: DictConfig, name: str, expected: Any, choices: Mapping[str, str | None]
 ) -> None:
-    """Refuse a key that the schedule of a parameter does not have."""
+    """Reject a key that the schedule of a parameter does not have."""
     node = config.strategy[name]
     if not isinstance(expected, DictConfig) or not isinstance(node, DictConfig):
         return
     if node.get("_target_") != expected.get("_target_"):
-        return  # a schedule of the user's own; the constructor checks
+        return  # the user's own schedule; the constructor checks its keys
     for key in sorted({str(key) for key in node} - {str(key) for key in expected}):
         has = ", ".join(sorted(str(k) for k in expected if not str(k).startswith("_")))
         option = choices.get("strategy")
         own = OmegaConf.select(load(f"strategy/{option}"), name)
         hint = ""
         if isinstance(own, DictConfig) and f"strategy.{name}" in schedules_of(choices):
-            hint = f"; strategy={option} has a schedule of its own, which cannot be exchanged"
+            hint = f"; strategy={option} has its own schedule, which cannot be replaced"
         raise ConfigError(f"unknown key 'strategy.{name}.{key}'; this schedule has: {has}{hint}")
 
 
@@ -102,7 +102,7 @@ def resolved(config: DictConfig) -> dict[str, Any]:
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """The keys in which two resolved configurations would give different results."""
+    """The keys whose values differ between two configurations and can change the results."""
     found: list[str] = []
     for key in sorted({*old, *new}):
         if f"{prefix}{key}" in INERT:
@@ -111,12 +111,12 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = ""
         if isinstance(a, Mapping) and isinstance(b, Mapping):
             found += differences(a, b, f"{prefix}{key}.")
         elif not same(a, b):
-            found.append(f"{prefix}{key}: {a} there, {b} here")
+            found.append(f"{prefix}{key}: {a} before, {b} now")
     return found
 
 
 def describe(error: BaseException) -> str:
-    """An error of Hydra, OmegaConf or the file system as one line."""
+    """Describe an error of Hydra, OmegaConf or the file system in one line."""
     text = re.sub(r"^\w+ raised while resolving interpolation: |\n\s*full_key: .*", "", str(error),
                   flags=re.S)  # fmt: skip
     if text.startswith("Error merging override") and error.__cause__ is not None:
@@ -126,15 +126,17 @@ def describe(error: BaseException) -> str:
     if isinstance(error, MissingConfigException):
         group, options = error.missing_cfg_file or "", error.options or []
         name, _, option = group.rpartition("/")
-        return f"there is no {name}={option}; available: {', '.join(options)}"
+        return f"unknown option {name}={option}; available: {', '.join(options)}"
     if unknown and re.match(r"env\.(kwargs|attributes)\b", unknown[1]):
         added = re.search(r"use (\+.*)", str(error))
-        return f"'{unknown[1]}' is not there yet; a + adds it" + (f": {added[1]}" if added else "")
+        return f"'{unknown[1]}' does not exist yet; add it with +" + (
+            f": {added[1]}" if added else ""
+        )
     if unknown and unknown[1]:
         return f"unknown key '{unknown[1]}'; --help lists the keys of this configuration"
     if "Config group override must be" in str(error):
         return (
-            f"each of {', '.join(GROUPS)} must name one of its files in conf/, not null or a list"
+            f"each of {', '.join(GROUPS)} must be the name of a file in conf/, not null or a list"
         )
     if isinstance(error, OSError) and error.filename:
         return f"cannot write {error.filename}: {error.strerror}"

@@ -1,4 +1,4 @@
-"""Where the configuration files lie, what they say by default, and the error of this package."""
+"""The configuration files, their defaults, and the error for a wrong configuration."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from omegaconf import DictConfig, OmegaConf
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 CONF = next(p for p in (_PACKAGE / "conf", _PACKAGE.parent / "conf") if p.is_dir())
-"""The configuration files: inside the package where it is installed, beside it in a checkout."""
+"""The folder of the configuration files: inside an installed package, next to it in a checkout."""
 GROUPS = (
     "env", "policy", "strategy", "loss", "correction", "baseline", "optimizer", "collector",
 )  # fmt: skip
 SCHEDULE = "schedule@"
-"""How a choice begins that lets a parameter follow a file of ``conf/schedule``:
+"""Prefix of a choice that gives a parameter a schedule from ``conf/schedule``:
 ``+schedule@strategy.temperature=linear``."""
 INERT = (
     "output_dir", "restart", "threads", "episodes", "collector.threads", "env.workers",
     "checkpoint_seconds",
 )  # fmt: skip
-"""Keys that change no result: they are not part of a job's name or identity."""
+"""Keys that do not change results; they are not part of a job's name or identity."""
 
 
 class ConfigError(ValueError):
@@ -30,7 +30,7 @@ class ConfigError(ValueError):
 
 
 def defaults_of(choices: Mapping[str, str | None]) -> DictConfig:
-    """What the files of ``conf/`` say for these choices, before any override; not to be changed."""
+    """The values in ``conf/`` for these choices, before any override. Do not modify."""
     return _defaults(tuple(sorted(choices.items())))
 
 
@@ -52,7 +52,7 @@ def _defaults(items: tuple[tuple[str, str | None], ...]) -> DictConfig:
 
 @cache
 def load(name: str) -> DictConfig:
-    """A file of ``conf/``, named without its ending; empty if there is none. Not to be changed."""
+    """A file of ``conf/``, named without extension; empty if it does not exist. Do not modify."""
     path = CONF / f"{name}.yaml"
     content = OmegaConf.load(path) if path.is_file() else OmegaConf.create()
     assert isinstance(content, DictConfig)
@@ -60,7 +60,7 @@ def load(name: str) -> DictConfig:
 
 
 def schedules_of(choices: Mapping[str, str | None]) -> dict[str, str]:
-    """Which parameters follow a file of ``conf/schedule``, and which file."""
+    """The parameters that have a schedule, each with its file in ``conf/schedule``."""
     return {
         key.removeprefix(SCHEDULE): str(option)
         for key, option in sorted(choices.items())
@@ -69,5 +69,5 @@ def schedules_of(choices: Mapping[str, str | None]) -> dict[str, str]:
 
 
 def same(value: Any, default: Any) -> bool:
-    """Whether two values of a configuration are equal; 1 and 1.0 are, 1 and true are not."""
+    """Whether two configuration values are equal; 1 equals 1.0, but not true."""
     return value == default and isinstance(value, bool) == isinstance(default, bool)

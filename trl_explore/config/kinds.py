@@ -1,4 +1,4 @@
-"""Whether strategy and policy serve the actions that the environment takes."""
+"""Check that the strategy and the policy support the environment's kind of actions."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from omegaconf import DictConfig, OmegaConf
 from trl_explore.config.files import CONF, ConfigError
 
 SERVING = ("strategy", "policy")
-"""The groups whose options serve one kind of action, which their class states in ``actions``."""
+"""The groups whose options support one kind of action, the attribute ``actions`` of the class."""
 
 
 def check_actions(config: DictConfig, kind: str) -> None:
-    """Refuse what does not serve the environment's actions, and name what does.
+    """Reject options that do not support the environment's actions, and name those that do.
 
     Args:
         config: the configuration of the job.
-        kind: "discrete" or "continuous", what the environment's actions are.
+        kind: the kind of the environment's actions, "discrete" or "continuous".
 
     Raises:
-        ConfigError: if strategy or policy serve the other kind.
+        ConfigError: if the strategy or the policy supports only the other kind.
     """
     wrong: list[str] = []
     served: list[str] = []
@@ -32,21 +32,21 @@ def check_actions(config: DictConfig, kind: str) -> None:
             served.append(f"{group}={'|'.join(options(group, kind))}")
     if wrong:
         raise ConfigError(
-            f"the environment has {kind} actions, not served by {' and '.join(wrong)}; "
-            f"served by {', '.join(served)}"
+            f"the environment has {kind} actions, not supported by {' and '.join(wrong)}; "
+            f"supported by {', '.join(served)}"
         )
 
 
 def options(group: str, kind: str) -> list[str]:
-    """The files of ``conf/`` in a group that serve a kind of action."""
+    """The options of a group that support a kind of action."""
     files = sorted((CONF / group).glob("*.yaml"))
     found = ((path.stem, _constructor(OmegaConf.load(path))) for path in files)
     return [name for name, constructor in found if getattr(constructor, "actions", None) == kind]
 
 
 def _constructor(node: Any) -> Any:
-    """The class that a configuration names; None if it names none that exists."""
+    """The class that a configuration names; None if it does not exist."""
     try:
         return get_object(str(node.get("_target_")))
-    except Exception:  # whatever importing it raises; building it says what is wrong
+    except Exception:  # any error of the import; building it reports the error
         return None

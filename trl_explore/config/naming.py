@@ -1,4 +1,4 @@
-"""Names of sweeps and jobs, from resolved values."""
+"""Names of sweeps and jobs, built from resolved values."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from trl_explore.config.files import (
 )
 
 ABSENT = object()
-"""Stands for the default of a key that ``conf/`` does not have."""
+"""The default of a key that ``conf/`` does not have."""
 
 
 def register_resolvers() -> None:
-    """Make ``${sweep_name:}`` and ``${job_name:}`` known to OmegaConf."""
+    """Register ``${sweep_name:}`` and ``${job_name:}`` with OmegaConf."""
     OmegaConf.register_new_resolver("sweep_name", _sweep_name, replace=True)
     OmegaConf.register_new_resolver("job_name", _job_name, replace=True)
 
@@ -37,7 +37,7 @@ def _choices(root: DictConfig) -> Mapping[str, str | None]:
 
 def _sweep_name(*, _root_: DictConfig) -> str:
     if not str(_root_.output_dir or "").strip():
-        raise ConfigError("output_dir must name a folder, got nothing")
+        raise ConfigError("output_dir must be the name of a folder, got an empty value")
     return _choices(_root_).get("experiment") or "train"
 
 
@@ -46,10 +46,11 @@ def _job_name(*, _root_: DictConfig) -> str:
 
 
 def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
-    """The strategy with its parameters, and every other value that differs from ``conf/``.
+    """The name of a job: strategy, parameters, and all other values that differ from ``conf/``.
 
-    Named by resolved values, so that ``temperature=1`` and ``temperature=1.0`` are one job, and
-    different configurations never share a folder: ``epsilon_greedy,epsilon=0.1,seed=3``.
+    Example: ``epsilon_greedy,epsilon=0.1,seed=3``. The values are resolved, so that
+    ``temperature=1`` and ``temperature=1.0`` are one job, and different configurations never share
+    a folder.
     """
     defaults = defaults_of(choices)
     parts = [str(choices.get("strategy"))]
@@ -84,7 +85,7 @@ def _default_choices() -> dict[str, str]:
 
 
 def _leaves(defaults: DictConfig, config: DictConfig) -> dict[str, Any]:
-    """Every key of the configuration that holds a value, with the value that ``conf/`` gives."""
+    """Every key of the configuration that holds a value, with its default in ``conf/``."""
     leaves: dict[str, Any] = {}
 
     def walk(node: DictConfig, prefix: str) -> None:
@@ -103,7 +104,7 @@ def _leaves(defaults: DictConfig, config: DictConfig) -> dict[str, Any]:
 
 
 def _default(defaults: DictConfig, config: DictConfig, key: str) -> Any:
-    """The value that ``conf/`` gives a key; where it points to another key, that one's value."""
+    """The default of a key in ``conf/``; if it refers to another key, the value of that key."""
     parent, _, name = key.rpartition(".")
     node = OmegaConf.select(defaults, parent, throw_on_missing=False) if parent else defaults
     if not isinstance(node, DictConfig) or name not in node or OmegaConf.is_missing(node, name):

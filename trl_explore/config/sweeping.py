@@ -1,8 +1,8 @@
-"""A sweep under any launcher: which jobs it has, and how each one ended, whatever process ran it.
+"""The jobs of a sweep under any launcher, and how each one ended, in whatever process it ran.
 
-Hydra drops what a job returns. So a callback of Hydra (``hydra.callbacks.sweep`` in
-``conf/train.yaml``) plans the jobs before the first one is run, and how a job ended that another
-process ran (``hydra/launcher=joblib``) is read from its files.
+Hydra discards the return value of a job. Therefore a Hydra callback (``hydra.callbacks.sweep`` in
+``conf/train.yaml``) plans the jobs before the first one runs. The outcome of a job that ran in
+another process (``hydra/launcher=joblib``) is read from its files.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from trl_explore.config.naming import register_resolvers
 from trl_explore.jobs import sweeps
 from trl_explore.jobs.lock import is_locked
 
-register_resolvers()  # a launcher's process composes the configuration before it runs our code
-# conf/hydra/launcher/ says every argument of the plugins, whose schemas have the same names.
+register_resolvers()  # a worker composes the configuration before it runs this program's code
+# conf/hydra/launcher/ sets every argument of the plugins; their schemas have the same names.
 warnings.filterwarnings(
     "ignore", r"\n'hydra/launcher/\w+' is validated against ConfigStore schema", UserWarning
 )
 
 EXTRAS = {"joblib": "joblib", "submitit_local": "submitit", "submitit_slurm": "submitit",
           "ray": "ray"}  # fmt: skip
-"""Which extra of the package a launcher needs."""
-CUT = "it was cut off; the same command goes on"
-"""The reason of a job that ended without a result or a reason of its own."""
+"""The extra of the package that each launcher needs."""
+CUT = "cut off; run the same command to resume"
+"""The error of a job that ended with neither a result nor its own error."""
 
 
 class Ended(NamedTuple):
@@ -47,35 +47,35 @@ class Ended(NamedTuple):
 
     folder: Path
     error: str = ""
-    """One line; nothing if the job is finished."""
+    """One line; empty if the job is finished."""
 
     @property
     def line(self) -> str:
-        """The error with the name of the job."""
+        """The error, prefixed with the name of the job."""
         return f"{self.folder.name}: {self.error}"
 
 
 class Sweep(Callback):
-    """The jobs of a sweep; Hydra hands a copy of it to every process that runs one of them.
+    """The jobs of a sweep; Hydra passes a copy to every process that runs one of them.
 
-    Hydra turns what a callback raises into a warning. So what is wrong is noted here, or left to
-    Hydra, which composes the same jobs again.
+    Hydra turns an exception in a callback into a warning. Therefore errors are recorded here, or
+    left to Hydra, which composes the same jobs again.
     """
 
     def __init__(self) -> None:
         self.folders: list[Path] = []
-        """The folder of each job, by its number; empty if the jobs cannot be composed."""
+        """The folder of each job, in order of job numbers; empty if the jobs cannot be composed."""
         self.place: Path | None = None
         """The folder of the sweep, where Hydra writes ``multirun.yaml``."""
         self.missing = ""
-        """Which launcher is not installed: one line."""
+        """One line that names the launcher that is not installed; empty if it is installed."""
 
     def on_multirun_start(self, config: DictConfig, **arguments: Any) -> None:
-        """Plan the jobs, and write down which ones are asked for."""
+        """Plan the jobs, and record which ones were requested."""
         _State.sweep = self
         self.missing = _not_installed(config)
         if not self.missing:
-            with suppress(Exception):  # Hydra comes upon the same, and raises it
+            with suppress(Exception):  # Hydra meets the same error and raises it
                 self.place = Path(str(config.hydra.sweep.dir)).absolute()
                 folders = _plan(config)
                 for sweep, names in _by_sweep(folders).items():
@@ -84,14 +84,14 @@ class Sweep(Callback):
                 self.folders = folders
 
     def on_job_start(self, config: DictConfig, **arguments: Any) -> None:
-        """Note whether the job that begins in this process is named a second time."""
+        """Record whether the job that starts in this process is a duplicate."""
         number = OmegaConf.select(config, "hydra.job.num", throw_on_missing=False)
         planned = isinstance(number, int) and number < len(self.folders)
         _State.repeated = planned and self.folders.index(self.folders[number]) < number
 
 
 class _State:
-    """Of this process alone: it does not go to the processes of a launcher."""
+    """State of this process only; it is not sent to the processes of a launcher."""
 
     leads = False
     repeated = False
@@ -100,7 +100,7 @@ class _State:
 
 
 def _plan(config: DictConfig) -> list[Path]:
-    """Compose every job of a sweep, which finds what cannot be; the folder of each."""
+    """Compose every job of a sweep, which detects errors; return the folder of each job."""
     loader = GlobalHydra.instance().config_loader()
     words = [f"{key}={value}" for key, value in (config.hydra.sweeper.get("params") or {}).items()]
     words += [str(word) for word in config.hydra.overrides.task]
@@ -111,7 +111,7 @@ def _plan(config: DictConfig) -> list[Path]:
 
 
 def _by_sweep(folders: list[Path]) -> dict[Path, list[str]]:
-    """The names of the jobs in the folder of each sweep, each once."""
+    """The names of the jobs in the folder of each sweep, without duplicates."""
     places: dict[Path, list[str]] = {}
     for folder in dict.fromkeys(folders):
         places.setdefault(folder.parent, []).append(folder.name)
@@ -119,13 +119,13 @@ def _by_sweep(folders: list[Path]) -> dict[Path, list[str]]:
 
 
 def _not_installed(config: DictConfig) -> str:
-    """One line if the launcher or the sweeper that was chosen cannot be imported."""
+    """One line if the chosen launcher or sweeper cannot be imported; empty if both can."""
     choices = config.hydra.runtime.choices
     name = choices.get("hydra/launcher")
     try:
         for plugin in (config.hydra.launcher, config.hydra.sweeper):
             import_module(plugin._target_.rpartition(".")[0])
-    except Exception as error:  # whatever importing it raises
+    except Exception as error:  # any error of the import
         if name in EXTRAS:
             extra = f"pip install 'trl_explore[{EXTRAS[name]}]'"
             return f"hydra/launcher={name} is not installed: {extra}"
@@ -135,30 +135,29 @@ def _not_installed(config: DictConfig) -> str:
 
 
 def is_worker() -> bool:
-    """Whether this process was started by a launcher, to run jobs."""
+    """Whether a launcher started this process to run jobs."""
     return not _State.leads
 
 
 def is_repeated() -> bool:
-    """Whether the job of this process is named before in its sweep, as ``1`` and then ``1.0``."""
+    """Whether the job of this process is a duplicate in its sweep, as in ``1,1.0``."""
     return _State.repeated
 
 
 def end_job(folder: Path, error: str = "", *, record: bool = True) -> None:
-    """Note how a job ended: for the process that started it, and for ``status``.
+    """Record how a job ended, for the process that started it and for ``status``.
 
     Args:
-        folder: of the job; of one that failed it is removed, unless there is something in it
-            from which it could go on.
-        error: one line; nothing if the job is finished.
-        record: whether the failure is one of the job, and not of this attempt.
+        folder: the folder of the job; removed if the job failed and left nothing to resume from.
+        error: one line; empty if the job is finished.
+        record: whether to record the error for ``status``; false if it concerns only this attempt.
     """
     if error:
         with suppress(OSError):
             if {path.name for path in folder.iterdir()} == {".hydra"}:
                 shutil.rmtree(folder / ".hydra")
             folder.rmdir()
-        with suppress(OSError):  # also where the lock has removed the job's own already
+        with suppress(OSError):  # even if the lock has already removed the job's folder
             folder.parent.rmdir()
         if record and is_multirun():
             sweeps.record_failure(folder, error)
@@ -172,11 +171,11 @@ def end_job(folder: Path, error: str = "", *, record: bool = True) -> None:
 
 
 def collect(start: Callable[[], object]) -> list[Ended]:
-    """Let Hydra run its jobs; how each one ended, in their order.
+    """Let Hydra run the jobs; return how each one ended, in order.
 
     Raises:
-        ConfigError: if the launcher that was chosen is not installed.
-        Exception: what Hydra raises, if no job can be composed.
+        ConfigError: if the chosen launcher is not installed.
+        Exception: the exception of Hydra, if the jobs cannot be composed.
     """
     _State.leads, _State.repeated, _State.sweep, _State.ended = True, False, None, []
     reason = CUT
@@ -187,8 +186,8 @@ def collect(start: Callable[[], object]) -> list[Ended]:
             raise ConfigError(_State.sweep.missing) from None
         if _State.sweep is None or not _State.sweep.folders:
             raise
-        # Of the launcher itself: a process that was killed, a timeout.
-        reason = f"the launcher lost it ({type(error).__name__}: {first_line(error)})"
+        # The launcher itself failed: a process was killed, or a timeout.
+        reason = f"the launcher failed ({type(error).__name__}: {first_line(error)})"
     finally:
         if _State.sweep is not None and _State.sweep.place is not None:
             for sweep in {_State.sweep.place, *_by_sweep(_State.sweep.folders)}:
@@ -201,7 +200,7 @@ def collect(start: Callable[[], object]) -> list[Ended]:
 
 
 def _from_files(folder: Path, reason: str) -> Ended:
-    """How a job ended that another process ran."""
+    """How a job ended that ran in another process."""
     failure = sweeps.read_failures(folder.parent).get(folder.name)
     if failure is None and (folder / sweeps.RUN).is_file():
         return Ended(folder)

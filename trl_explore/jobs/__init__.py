@@ -1,20 +1,20 @@
-"""The files of a job: the only place that knows their names and columns, for writing and reading.
+"""The files of a job. Only this package knows their names and columns; it writes and reads them.
 
     trials.csv              one row per trial
-    episodes.csv            one row per episode, by iteration and then trial (can be switched off);
-                            with diagnostics=true what happened inside of the trial, too
-    evaluations.csv         one row per episode of the greedy policy, where it was evaluated
+    episodes.csv            one row per episode, by iteration, then trial (unless episodes=false);
+                            with diagnostics=true, also the diagnostics of the iteration
+    evaluations.csv         one row per episode of the greedy policy, if it was evaluated
     scalars/*.csv           learning curves averaged over the trials (TorchRL's CSVLogger)
     weights.safetensors     the final policy of every trial
     run.json                configuration, versions, seed, wall time; written last
 
-Beside the jobs, in the folder of their sweep:
+In the folder of a sweep:
 
-    timings.csv             seconds of single trials, each run by itself (``trl-explore time``)
+    timings.csv             seconds of single trials, each run alone (``trl-explore time``)
 
-A folder holds a finished job exactly if it holds ``run.json``. Every file appears at once and
-whole. While a job is not finished, its folder also holds ``checkpoint/`` (see
-``trl_explore.jobs.checkpoint``), from which it goes on, and ``.lock`` while a process runs it.
+A job is finished if and only if its folder holds ``run.json``. Every file is written atomically.
+The folder of an unfinished job also holds ``checkpoint/`` (see ``trl_explore.jobs.checkpoint``),
+from which the job resumes, and ``.lock`` while a process runs it.
 """
 
 from trl_explore.jobs.columns import (

@@ -1,15 +1,15 @@
-"""Checkpoints of a job: what is in the files, and how they survive a cut at any instant.
+"""The checkpoint files of a job, which stay valid if the process is killed at any instant.
 
-In the folder ``checkpoint/<k>/`` of shard k of a job that is not finished:
+The folder ``checkpoint/<k>/`` of shard k of an unfinished job holds:
 
-    a.safetensors, b.safetensors   the last two checkpoints, written in turns
+    a.safetensors, b.safetensors   the last two checkpoints, written alternately
     history.bin                    the episodes up to the last checkpoint, append-only
 
-A checkpoint is one safetensors file: the tensors of a nested state, and in its metadata the rest
-of the state as JSON, a header, and a SHA-256 of all of it. It is written beside its place, synced
-and renamed. The history only grows: a checkpoint states how many of its bytes are valid and their
-digest, so that its own cost does not grow with the run, and what a cut left behind that length is
-dropped. No file is read with pickle.
+A checkpoint is one safetensors file. It holds the tensors of a nested state; its metadata holds the
+rest of the state as JSON, a header, and a SHA-256 of everything. It is written to a temporary file,
+synced and renamed. The history only grows, so that the cost of a checkpoint does not grow with the
+run: a checkpoint states how many bytes of the history are valid, and their digest. Bytes after that
+length, left by an interrupted write, are dropped. No file is read with pickle.
 """
 
 from __future__ import annotations
@@ -35,24 +35,25 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class DamagedError(ValueError):
-    """A file that is not what was written; the message says how that shows."""
+    """A file that is damaged; the message says how this was detected."""
 
 
 class Packed(NamedTuple):
-    """A state as arrays and JSON: a copy, which later changes of the state do not reach."""
+    """A copy of a state as arrays and JSON; later changes of the state do not affect it."""
 
     tree: str
     arrays: Arrays
 
 
 def pack(state: Any) -> Packed:
-    """A nested state as arrays and one JSON text.
+    """Convert a nested state to arrays and one JSON text.
 
-    Served are dicts, lists and tuples of None, bool, int, float, str, numpy arrays and torch
-    tensors. A tensor that occurs twice, as the weights in policy and loss, is stored once.
+    The state consists of dicts, lists and tuples of None, bool, int, float, str, numpy arrays and
+    torch tensors. A tensor that occurs twice, such as weights shared by policy and loss, is stored
+    once.
 
     Raises:
-        TypeError: naming the entry that is of another kind.
+        TypeError: if an entry has another type; the message names the entry.
 
     Example:
         >>> packed = pack({"lr": 0.1, "steps": (1, 2), "weight": np.ones(3)})
@@ -64,12 +65,12 @@ def pack(state: Any) -> Packed:
 
     def walk(node: Any, path: str) -> Any:
         plain = node is None or isinstance(node, bool | int | float | str)
-        if plain and not isinstance(node, np.number):  # float64 is a float, too
+        if plain and not isinstance(node, np.number):  # np.float64 is also a float
             return node
         if isinstance(node, Mapping):
             pairs = [[key, walk(value, f"{path}.{key}")] for key, value in node.items()]
             if not all(isinstance(key, str | int) for key, _ in pairs):
-                raise TypeError(f"the state of {path[1:]} has a key that is no text or integer")
+                raise TypeError(f"the state of {path[1:]} has a key that is not a str or int")
             return {"dict": pairs}
         if isinstance(node, list | tuple):
             values = [walk(value, f"{path}.{k}") for k, value in enumerate(node)]
@@ -78,7 +79,7 @@ def pack(state: Any) -> Packed:
         if identity in seen:
             return {kind: seen[identity]}
         name = path[1:]
-        while name in arrays:  # the path of another entry reads the same: "a.b", and "b" in "a"
+        while name in arrays:  # another entry has the same path: "a.b", and "b" in "a"
             name += "'"
         seen[identity], arrays[name] = name, array.copy(order="C")
         return {kind: name}
@@ -87,7 +88,7 @@ def pack(state: Any) -> Packed:
 
 
 def _array(node: Any, path: str) -> tuple[str, NDArray[Any], Any]:
-    """The kind of an array, its values, and what makes it the same memory as another one."""
+    """The kind of an array, its values, and a key that identifies its memory."""
     if isinstance(node, np.generic):
         return "number", np.asarray(node), object()
     if isinstance(node, np.ndarray):
@@ -95,17 +96,17 @@ def _array(node: Any, path: str) -> tuple[str, NDArray[Any], Any]:
     import torch
 
     if isinstance(node, torch.Tensor):
-        # Of the node: the memory of a copy from another device is soon another copy's.
+        # Identify the node, not its copy on the CPU: the memory of that copy is soon reused.
         identity = (node.device, node.data_ptr(), node.shape, node.stride(), node.dtype)
         return "tensor", node.detach().cpu().numpy(), identity
     raise TypeError(
-        f"the state of {path[1:]} is a {type(node).__name__}; a checkpoint holds None, bool, "
+        f"the state of {path[1:]} is a {type(node).__name__}; a checkpoint can hold None, bool, "
         "int, float, str, arrays and tensors, in dicts, lists and tuples"
     )
 
 
 def unpack(packed: Packed) -> Any:
-    """The state that ``pack`` was given."""
+    """Restore the state that ``pack`` converted."""
     tensors: dict[str, Any] = {}
 
     def tensor(name: str) -> Any:
@@ -142,7 +143,7 @@ def _digest(texts: Mapping[str, str], arrays: Arrays) -> str:
 
 
 def to_bytes(header: Mapping[str, Any], packed: Packed) -> bytes:
-    """The contents of a checkpoint's file."""
+    """The contents of a checkpoint file."""
     from safetensors.numpy import save
 
     texts = {"header": json.dumps(header), "state": packed.tree}
@@ -150,10 +151,10 @@ def to_bytes(header: Mapping[str, Any], packed: Packed) -> bytes:
 
 
 def from_bytes(data: bytes) -> tuple[dict[str, Any], Packed]:
-    """Header and state of a checkpoint's file.
+    """The header and the state in a checkpoint file.
 
     Raises:
-        DamagedError: if the contents are not what ``to_bytes`` gave.
+        DamagedError: if the contents are not those that ``to_bytes`` returned.
     """
     from safetensors import SafetensorError
     from safetensors.numpy import load
@@ -173,7 +174,7 @@ def from_bytes(data: bytes) -> tuple[dict[str, Any], Packed]:
 
 
 class Checkpoint(NamedTuple):
-    """What was found: the header, the state, and the episodes up to there, in parts."""
+    """A checkpoint: the header, the state, and the episodes up to it, in parts."""
 
     header: dict[str, Any]
     state: Packed
@@ -194,7 +195,7 @@ class Store:
         self._length, self._seal = 0, bytes(DIGEST)
 
     def load(self) -> tuple[Checkpoint | None, list[str]]:
-        """The newest checkpoint that is whole, and a line for each one that is not."""
+        """The newest valid checkpoint, and one line for each damaged one."""
         found: list[tuple[dict[str, Any], Packed]] = []
         damaged: list[str] = []
         for name in SLOTS:
@@ -218,15 +219,15 @@ class Store:
         return None, damaged
 
     def save(self, header: Mapping[str, Any], state: Packed, history: Arrays) -> None:
-        """Write a checkpoint; if that fails, the ones before it are as good as they were.
+        """Write a checkpoint; if that fails, the earlier ones stay valid.
 
         Args:
-            header: what is to be known before the state is loaded, as JSON.
-            state: everything that goes on from here.
-            history: the episodes since the checkpoint before.
+            header: facts needed before the state is loaded, as JSON.
+            state: the state to resume from.
+            history: the episodes since the previous checkpoint.
 
         Raises:
-            OSError: if it cannot be written.
+            OSError: if the checkpoint cannot be written.
         """
         self.folder.parent.mkdir(exist_ok=True)
         self.folder.mkdir(exist_ok=True)
@@ -239,21 +240,21 @@ class Store:
 
     def clear(self) -> None:
         """Remove all checkpoints."""
-        for name in SLOTS:  # a state without its history is not a checkpoint, so these go first
+        for name in SLOTS:  # first: a state without its history is not a checkpoint
             (self.folder / name).unlink(missing_ok=True)
         if self.folder.exists():
             shutil.rmtree(self.folder)
         self._number, self._length, self._seal = 0, 0, bytes(DIGEST)
 
     def _append(self, history: Arrays) -> tuple[int, bytes]:
-        """Add a part to the history; returns how long it is then, and its digest."""
+        """Append a part to the history; return its new length and digest."""
         if not any(array.size for array in history.values()):
             return self._length, self._seal
         data = to_bytes({}, Packed("null", history))
         seal = hashlib.sha256(self._seal + data).digest()
         path = self.folder / HISTORY
         with path.open("r+b" if self._length else "wb") as file:
-            file.truncate(self._length)  # what an earlier attempt may have left
+            file.truncate(self._length)  # drop what a failed attempt may have written
             file.seek(self._length)
             file.write(len(data).to_bytes(8, "little"))
             file.write(data)

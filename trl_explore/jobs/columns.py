@@ -1,7 +1,8 @@
-"""The files of a job: their names, their columns, and how a column is written and read.
+"""The names and columns of a job's files, and how each column is written and read.
 
-A table is one line of names and lines of as many fields, each line ended. It is read strictly:
-nothing is quoted, skipped, guessed or filled in, so a cut or changed file is refused.
+A table is a line of column names, then lines with one field per column; every line ends with a
+newline. Parsing is strict: no quoting, skipping, guessing or filling in. A truncated or changed
+file is rejected.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ PACKAGES = ("trl_explore", "torch", "torchrl", "tensordict", "gymnasium", "numpy
 
 
 class ResultsError(ValueError):
-    """A folder that does not hold what it should; the message is one line."""
+    """A folder whose files are missing or invalid; the message is one line."""
 
 
 INTEGER = re.compile(r"-?[0-9]{1,19}")
@@ -45,16 +46,16 @@ Parser = Callable[[Sequence[str]], NDArray[Any]]
 
 
 def integers(texts: Sequence[str]) -> NDArray[np.int64]:
-    """Decimal integers of 64 bits [n]; a ValueError says what is none."""
+    """Parse decimal 64-bit integers [n]; a ValueError names the text that is not one."""
     _check(texts, INTEGER, "an integer")
     try:
         return np.array(list(map(int, texts)), dtype=np.int64)
     except OverflowError:
-        raise ValueError("holds an integer of more than 64 bits") from None
+        raise ValueError("holds an integer that exceeds 64 bits") from None
 
 
 def numbers(texts: Sequence[str]) -> NDArray[np.float64]:
-    """Finite float64s [n]; a ValueError says what is none.
+    """Parse finite float64 numbers [n]; a ValueError names the text that is not one.
 
     Example:
         >>> numbers(["1", "2.5e-1"]).tolist()
@@ -72,15 +73,15 @@ def numbers(texts: Sequence[str]) -> NDArray[np.float64]:
 
 
 def booleans(texts: Sequence[str]) -> NDArray[np.bool_]:
-    """``True`` and ``False`` [n]; a ValueError says what is neither."""
+    """Parse ``True`` and ``False`` [n]; a ValueError names the text that is neither."""
     return np.array([BOOLS[t] for t in words(texts, BOOLS)], dtype=np.bool_)
 
 
 def words(texts: Sequence[str], allowed: Sequence[str] | Mapping[str, Any]) -> Sequence[str]:
-    """The texts, all of them among the allowed ones; a ValueError says which is not."""
+    """Return the texts if all are allowed; a ValueError names one that is not."""
     for text in set(texts):
         if text not in allowed:
-            raise ValueError(f"holds {_shown(text)}; allowed are {', '.join(allowed)}")
+            raise ValueError(f"holds {_shown(text)}; allowed: {', '.join(allowed)}")
     return texts
 
 
@@ -95,7 +96,7 @@ def _shown(text: str) -> str:
 
 
 def statuses(texts: Sequence[str]) -> NDArray[np.str_]:
-    """How trials ended [n]; a ValueError says what is none of the ways."""
+    """Parse how trials ended [n]; a ValueError names a text that is not a status."""
     return np.array(words(texts, STATUSES), dtype=np.str_)
 
 
@@ -103,8 +104,8 @@ class Column(NamedTuple):
     """A column of a table.
 
     Attributes:
-        read: texts [n] -> array [n]; raises ValueError saying what is wrong with them.
-        write: a Python scalar -> its text; that of a float is the shortest that reads back as it.
+        read: texts [n] -> array [n]; raises a ValueError that says which text is invalid.
+        write: a Python scalar -> its text; for a float, the shortest text that parses to it.
     """
 
     read: Parser
@@ -134,11 +135,11 @@ EVALUATION_COLUMNS: dict[str, Column] = {
 }
 TIMING_COLUMNS = ("experiment", "job", "trial", "seconds", "frames")
 CURVE_COLUMNS = {"iteration": Column(integers), "value": Column(numbers)}
-"""Of a file in ``scalars/``, which has no line of names."""
+"""The columns of a file in ``scalars/``, which has no header line."""
 
 
 def table_text(columns: Mapping[str, Column], values: Mapping[str, NDArray[Any]]) -> str:
-    """The text of a table, from the values of each of its columns [rows].
+    """The text of a table, from the values of each column [rows].
 
     Example:
         >>> print(table_text({"trial": Column(integers)}, {"trial": np.arange(2)}), end="")
@@ -158,15 +159,15 @@ def join_rows(names: Iterable[str], rows: Iterable[str]) -> str:
 def read_table(
     path: Path, columns: Mapping[str, Column], *, header: bool = True
 ) -> dict[str, NDArray[Any]]:
-    """Some columns of a table; the others are ignored.
+    """Read the given columns of a table; the others are ignored.
 
     Args:
         path: the file.
         columns: by name.
-        header: whether the first line names the columns; if not, they are those of ``columns``.
+        header: whether the first line names the columns; if not, they are ``columns``, in order.
 
     Raises:
-        ResultsError: if the file is missing, cut off, or not such a table.
+        ResultsError: if the file is missing, truncated or not a table with these columns.
     """
     rows = _fields(path)
     names = rows.pop(0) if header else list(columns)
@@ -175,10 +176,10 @@ def read_table(
             raise ResultsError(f"{path}: line {number} has {len(fields)} fields, not {len(names)}")
     missing = [name for name in columns if name not in names]
     if missing:
-        raise ResultsError(f"{path}: no column {', '.join(missing)}")
+        raise ResultsError(f"{path}: missing column: {', '.join(missing)}")
     twice = [name for name in columns if names.count(name) > 1]
     if twice:
-        raise ResultsError(f"{path}: the column {twice[0]} stands there twice")
+        raise ResultsError(f"{path}: duplicate column {twice[0]}")
     texts = dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else {}
     found = {}
     for name, column in columns.items():
@@ -198,25 +199,25 @@ def _fields(path: Path) -> list[list[str]]:
     except OSError as error:
         raise ResultsError(f"{path}: not readable ({error.strerror})") from None
     except UnicodeDecodeError:
-        raise ResultsError(f"{path}: not readable as CSV (it is not UTF-8)") from None
+        raise ResultsError(f"{path}: not readable as CSV (not UTF-8)") from None
     if not text.endswith("\n"):
-        raise ResultsError(f"{path}: cut off, its last line has no end")
+        raise ResultsError(f"{path}: truncated: the last line has no newline")
     return [line.removesuffix("\r").split(",") for line in text[:-1].split("\n")]
 
 
 def write_whole(path: Path, data: bytes, tag: str = "") -> None:
-    """Write a file that appears at once and whole, also after a loss of power.
+    """Write a file atomically: it is complete or unchanged, even after a power failure.
 
-    After a loss of power it may be the one that was there before: its folder is not synced.
+    After a power failure the previous file may reappear, because the folder is not synced.
 
     Args:
         path: the file.
         data: its contents.
-        tag: begins the name of the temporary file, where several processes write the same one.
+        tag: prefix for the name of the temporary file, if several processes write the same file.
 
     Raises:
-        OSError: with the name of the file, if it cannot be written; a file that was there before
-            is as it was.
+        OSError: with the name of the file, if it cannot be written; an existing file stays
+            unchanged.
     """
     temporary = path.with_name(f".{tag}{path.name[:200]}.tmp")
     try:
@@ -234,5 +235,5 @@ def write_whole(path: Path, data: bytes, tag: str = "") -> None:
 
 
 def named(error: OSError, path: Path) -> OSError:
-    """The error with the name of the file: a full disk does not say what it has no room for."""
+    """The error with the file name added: the error of a full disk names no file."""
     return error if error.errno is None else OSError(error.errno, error.strerror, str(path))

@@ -1,4 +1,4 @@
-"""What a user sees in the terminal: one live line while a job runs, one table at its end."""
+"""Terminal output: a live line while a job runs, and a table at the end."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ REFRESH = 0.2
 
 
 class Progress:
-    """A live line: converged so far, mean score, frames/s, time left at most.
+    """A live line: trials converged so far, mean score, frames/s, upper bound on the time left.
 
-    Quiet where ``stream`` is not a terminal.
+    It prints nothing if ``stream`` is not a terminal.
 
     Args:
-        label: what is running.
-        records: the records of the shards, at the beginning of what is shown.
-        stream: where to write.
+        label: the name of what is running.
+        records: the records of the shards; progress counts from their current state.
+        stream: the stream to write to.
     """
 
     quiet = False
-    """Whether this process is one of several that share a terminal."""
+    """Whether several processes share the terminal, so that none shows a live line."""
 
     def __init__(self, label: str, records: Sequence[Trials], stream: TextIO = sys.stderr) -> None:
         self.label, self.records, self.stream = label, records, stream
@@ -40,7 +40,7 @@ class Progress:
         self.started = self.shown = time.perf_counter()
 
     def __call__(self) -> None:
-        """Show the state after an iteration, if it is time to."""
+        """Show the state after an iteration, if the last refresh is long enough ago."""
         now = time.perf_counter()
         if not self.live or now - self.shown < REFRESH:
             return
@@ -76,10 +76,10 @@ def duration(seconds: float) -> str:
 
 
 def table(jobs: Iterable[Outcomes]) -> str:
-    """The outcome of every job, one line each.
+    """The outcomes of the jobs, one line for each job.
 
-    ``median`` is the median of iterations to convergence over all trials, capped ones included;
-    "> cap" where fewer than half of the trials converged.
+    The column "median iterations" is the median of the iterations to convergence over all trials,
+    including those that reached the cap; "> cap" if fewer than half of the trials converged.
     """
     header = ("job", "trials", "converged", "median iterations", "mean score", "frames", "seconds")
     lines = text_table([header, *(_row(job) for job in jobs)], left={0})
@@ -88,7 +88,7 @@ def table(jobs: Iterable[Outcomes]) -> str:
 
 
 def text_table(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
-    """The lines of a table, its columns two spaces apart; those in ``left`` begin at the left."""
+    """The lines of a table with two spaces between columns; ``left`` lists left-aligned columns."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(
@@ -100,21 +100,21 @@ def text_table(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str
 
 
 def warnings(jobs: Iterable[Outcomes]) -> list[str]:
-    """What a reader of the table must know, one line each."""
+    """Warnings about the results in the table, one line each."""
     short = [job for job in jobs if job.cut_short]
     if not short:
         return []
     caps = sorted({job.cap for job in short})
     windows = sorted({job.window for job in short})
     return [
-        f"no trial could converge with max_iterations={'|'.join(map(str, caps))}: a score takes"
+        f"no trial could converge with max_iterations={'|'.join(map(str, caps))}: a score needs"
         f" score_window={'|'.join(map(str, windows))} episodes"
     ]
 
 
 def _row(job: Outcomes) -> tuple[str, ...]:
     to_convergence = np.where(job.converged, job.iterations, np.inf)
-    # The lower median: of an even number of trials the one that is reached first.
+    # The lower median: for an even number of trials, the smaller of the two middle values.
     median = np.sort(to_convergence)[(len(job) - 1) // 2]
     diverged = int((job.status == "diverged").sum())
     return (

@@ -1,4 +1,4 @@
-"""One process at a time in a folder."""
+"""A lock that allows one process at a time in a folder."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from types import TracebackType
 
 NAME = ".lock"
 PATIENCE = 0.2
-"""Seconds for which a lock is tried; who only asks (``is_locked``) has it for microseconds."""
+"""Seconds to retry a lock; ``is_locked`` holds it only for microseconds."""
 
 
 class LockedError(OSError):
-    """The folder is another process's; the message is one line."""
+    """Another process holds the lock of the folder; the message is one line."""
 
 
 class Lock:
-    """The folder belongs to this process until it is released, or the process ends, however.
+    """Hold a folder for this process until the lock is released or the process ends.
 
-    An advisory lock (flock) on the file ``.lock`` in the folder. The kernel gives it back when its
-    holder dies, so that nothing has to be tidied up after a kill. The file goes when the lock is
-    released, and the folder if it is empty: whoever opened it just before then holds the lock of a
-    file without a name, or has no folder to make one in, notices, and tries again.
+    An advisory lock (flock) on the file ``.lock`` in the folder. The kernel releases it when the
+    process dies, so that a kill needs no clean-up. Releasing the lock deletes the file, and the
+    folder if it is empty. A process that opened the file just before then locks a deleted file, or
+    finds no folder to create the file in; it detects this and tries again.
 
     Args:
-        folder: the folder, which is made if it does not exist.
+        folder: the folder; created if it does not exist.
 
     Raises:
-        LockedError: if another process has it.
+        LockedError: if another process holds the lock.
         OSError: if the folder cannot be written to.
     """
 
@@ -43,7 +43,7 @@ class Lock:
             self.folder.mkdir(parents=True, exist_ok=True)
             try:
                 file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-            except FileNotFoundError:  # who had it just took the empty folder away
+            except FileNotFoundError:  # another process has just removed the empty folder
                 if time.monotonic() > deadline:
                     raise
                 continue
@@ -71,7 +71,7 @@ class Lock:
         self.release()
 
     def release(self) -> None:
-        """Give the folder back, and remove it if nothing is in it."""
+        """Release the lock, and remove the folder if it is empty."""
         if self._file < 0:
             return
         file, self._file = self._file, -1
@@ -79,12 +79,12 @@ class Lock:
             self.path.unlink(missing_ok=True)
             self.folder.rmdir()
         except OSError:
-            pass  # not empty, as a rule; or no longer to be written to
+            pass  # usually not empty; or no longer writable
         finally:
             os.close(file)
 
     def _is_named(self, file: int) -> bool:
-        """Whether the open file is still the one that bears the name."""
+        """Whether the open file is still the one at ``path``."""
         try:
             return os.path.samestat(os.fstat(file), self.path.stat())
         except FileNotFoundError:
@@ -92,7 +92,7 @@ class Lock:
 
 
 def is_locked(folder: Path) -> bool:
-    """Whether a process runs the job of this folder; nothing is changed by asking."""
+    """Whether a process runs the job of this folder; changes nothing."""
     try:
         file = os.open(folder / NAME, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:

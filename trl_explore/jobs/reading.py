@@ -1,4 +1,4 @@
-"""Reading the files of jobs back, one job or all of a sweep, and checking them."""
+"""Read and check the files of a job, or of all jobs of a sweep."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def read_run(job: Path) -> dict[str, Any]:
     """``run.json`` of a finished job.
 
     Raises:
-        ResultsError: if it is missing or not what it should be.
+        ResultsError: if it is missing or invalid.
     """
     try:
         run = json.loads((job / RUN).read_text(encoding="utf-8"))
@@ -55,10 +55,10 @@ def read_run(job: Path) -> dict[str, Any]:
             raise KeyError(*sorted(missing))
         _check_kinds(run["config"], CONFIG_KEYS)
     except FileNotFoundError:
-        raise ResultsError(f"{job}: no finished job ({RUN} is missing)") from None
+        raise ResultsError(f"{job}: not a finished job ({RUN} is missing)") from None
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         reason = " ".join(str(error).split())
-        raise ResultsError(f"{job / RUN}: not readable as the record of a job ({reason})") from None
+        raise ResultsError(f"{job / RUN}: not a valid record of a job ({reason})") from None
     return run
 
 
@@ -71,33 +71,33 @@ def _check_kinds(record: dict[str, Any], kinds: dict[str, tuple[type, ...]]) -> 
 
 
 def check_whole(job: Path, run: Mapping[str, Any]) -> None:
-    """Compare the files of a finished job with what ``run.json`` says of them: their lengths.
+    """Check that the files of a finished job have the lengths recorded in ``run.json``.
 
     Args:
         job: the folder.
-        run: the contents of ``run.json``; one without a record of the files passes.
+        run: the contents of ``run.json``; the check passes if it has no record of the files.
 
     Raises:
-        ResultsError: naming the first file that is missing or has another length.
+        ResultsError: if a file is missing or has another length; the message names the first.
     """
     files = run.get("files", {})
     if not isinstance(files, Mapping):
-        raise ResultsError(f"{job}: run.json does not say which files there are")
+        raise ResultsError(f"{job}: run.json has no valid list of files")
     for name, expected in files.items():
         path = job / name
         if not path.resolve().is_relative_to(job.resolve()) or not isinstance(expected, Mapping):
-            raise ResultsError(f"{job}: run.json names {name!r}, which is no file of a job")
+            raise ResultsError(f"{job}: run.json names {name!r}, which is not a file of a job")
         if not path.is_file():
             raise ResultsError(f"{path}: missing")
         if (size := path.stat().st_size) != expected.get("bytes"):
-            raise ResultsError(f"{path}: damaged ({size} bytes, not {expected.get('bytes')})")
+            raise ResultsError(f"{path}: damaged ({size} bytes, expected {expected.get('bytes')})")
 
 
 def read_trials(job: Path) -> pd.DataFrame:
-    """``trials.csv`` as a data frame, checked.
+    """Read and check ``trials.csv``.
 
     Raises:
-        ResultsError: if the file is missing, truncated or foreign.
+        ResultsError: if the file is missing, truncated or invalid.
     """
     import pandas as pd
 
@@ -108,26 +108,26 @@ def _trials(job: Path) -> dict[str, NDArray[Any]]:
     """The columns of ``trials.csv``, each [n_trials]."""
     columns = read_table(job / TRIALS, TRIAL_COLUMNS)
     if (columns["iterations"] < 1).any() or (columns["frames"] < 1).any():
-        raise ResultsError(f"{job / TRIALS}: a trial without iterations or frames")
+        raise ResultsError(f"{job / TRIALS}: a trial has no iterations or no frames")
     if (np.diff(columns["trial"]) != 1).any():
-        raise ResultsError(f"{job / TRIALS}: its trials do not follow each other")
+        raise ResultsError(f"{job / TRIALS}: the trials are not consecutive")
     if (columns["converged"] != (columns["status"] == "converged")).any():
         raise ResultsError(f"{job / TRIALS}: status and converged contradict each other")
     return columns
 
 
 def read_episodes(job: Path) -> pd.DataFrame:
-    """``episodes.csv`` as a data frame, held against ``trials.csv``.
+    """Read ``episodes.csv`` and check it against ``trials.csv``.
 
     Raises:
-        ResultsError: if the file is missing, truncated or foreign.
+        ResultsError: if the file is missing, truncated or invalid.
     """
     frame, trials = _read_csv(job / EPISODES, EPISODE_COLUMNS), _trials(job)
     for name in ("trial", "iteration", "frames"):
         if frame[name].dtype.kind != "i":
-            raise ResultsError(f"{job / EPISODES}: column {name} is not of integers")
+            raise ResultsError(f"{job / EPISODES}: column {name} does not hold integers")
     if frame["score"].dtype.kind not in "fi" or not np.isfinite(frame["score"]).all():
-        raise ResultsError(f"{job / EPISODES}: column score is not of finite numbers")
+        raise ResultsError(f"{job / EPISODES}: column score does not hold finite numbers")
     groups = frame.groupby(["trial", "iteration"])["frames"].agg(["size", "sum"]).reset_index()
     trial, iteration, size, total = groups.to_numpy(dtype=np.int64).T
     row = np.repeat(np.arange(len(trials["trial"])), trials["iterations"])
@@ -139,12 +139,12 @@ def read_episodes(job: Path) -> pd.DataFrame:
         and np.array_equal(np.bincount(row, weights=total), trials["frames"])
     )
     if not same:
-        raise ResultsError(f"{job / EPISODES}: its episodes are not those of {TRIALS}")
+        raise ResultsError(f"{job / EPISODES}: its episodes do not match {TRIALS}")
     return frame
 
 
 def read_weights(job: Path) -> dict[str, NDArray[Any]]:
-    """The final policy: name -> array [trials, ...].
+    """The weights of the final policy: name -> array [trials, ...].
 
     Raises:
         ResultsError: if the file is missing or damaged.
@@ -161,10 +161,10 @@ def read_weights(job: Path) -> dict[str, NDArray[Any]]:
 
 
 def read_timings(sweep: Path) -> pd.DataFrame | None:
-    """``timings.csv`` of a sweep as a data frame, checked; None where nothing was timed.
+    """Read and check ``timings.csv`` of a sweep; None if nothing was timed.
 
     Raises:
-        ResultsError: if the file is truncated or foreign.
+        ResultsError: if the file is truncated or invalid.
     """
     if not (sweep / TIMINGS).exists():
         return None
@@ -175,17 +175,17 @@ def read_timings(sweep: Path) -> pd.DataFrame | None:
         and seconds.dtype.kind in "fi"
         and bool(np.all(np.isfinite(seconds) & (seconds > 0)))
     ):
-        raise ResultsError(f"{sweep / TIMINGS}: column trial or seconds is not of its type")
+        raise ResultsError(f"{sweep / TIMINGS}: column trial or seconds has the wrong type")
     if frame.duplicated(["experiment", "job", "trial"]).any():
-        raise ResultsError(f"{sweep / TIMINGS}: a trial stands there twice")
+        raise ResultsError(f"{sweep / TIMINGS}: a trial occurs twice")
     return frame.astype({"experiment": str, "job": str})
 
 
 def read_curves(job: Path) -> pd.DataFrame:
-    """The learning curves of a job, one column each, indexed by iteration (from 1).
+    """The learning curves of a job, one column for each, indexed by iteration (from 1).
 
     Raises:
-        ResultsError: if there are none.
+        ResultsError: if there are no curves, or a file is invalid.
     """
     import pandas as pd
 
@@ -196,10 +196,10 @@ def read_curves(job: Path) -> pd.DataFrame:
     for file in files:
         columns = read_table(file, CURVE_COLUMNS, header=False)
         if not np.array_equal(columns["iteration"], np.arange(1, len(columns["value"]) + 1)):
-            raise ResultsError(f"{file}: its iterations do not follow each other")
+            raise ResultsError(f"{file}: the iterations are not consecutive")
         curves[file.stem] = columns["value"]
     if len({len(curve) for curve in curves.values()}) > 1:
-        raise ResultsError(f"{job / SCALARS}: the curves are not of the same length")
+        raise ResultsError(f"{job / SCALARS}: the curves differ in length")
     index = pd.RangeIndex(1, 1 + len(next(iter(curves.values()))), name="iteration")
     return pd.DataFrame(curves, index=index)
 
@@ -215,9 +215,9 @@ def _read_csv(path: Path, columns: Iterable[str]) -> pd.DataFrame:
         raise ResultsError(f"{path}: not readable as CSV ({first_line(error)})") from None
     missing = [name for name in columns if name not in frame.columns]
     if missing:
-        raise ResultsError(f"{path}: no column {', '.join(missing)}")
+        raise ResultsError(f"{path}: missing column: {', '.join(missing)}")
     if not isinstance(frame.index, pd.RangeIndex):
-        raise ResultsError(f"{path}: its lines have more fields than its first one")
+        raise ResultsError(f"{path}: a line has more fields than the first")
     if frame[list(columns)].isna().to_numpy().any():
         raise ResultsError(f"{path}: a value is missing")
     return frame
@@ -227,16 +227,16 @@ def read_job(job: Path) -> Outcomes:
     """The outcomes of a finished job.
 
     Raises:
-        ResultsError: if the folder does not hold one, or its files contradict each other.
+        ResultsError: if the folder holds no finished job, or its files contradict each other.
     """
     run, columns = read_run(job), _trials(job)
     config = run["config"]
     if len(columns["trial"]) != run["trials"]:
         raise ResultsError(
-            f"{job / TRIALS}: {len(columns['trial'])} trials, but the job had {run['trials']}"
+            f"{job / TRIALS}: {len(columns['trial'])} trials, expected {run['trials']}"
         )
     if (columns["seed"] != run["seed"]).any():
-        raise ResultsError(f"{job / TRIALS}: a trial of another seed than {run['seed']}")
+        raise ResultsError(f"{job / TRIALS}: a trial has another seed than {run['seed']}")
     parameters = {k: v for k, v in config["strategy"].items() if not k.startswith("_")}
     return Outcomes(
         name=job.name,
@@ -253,14 +253,14 @@ def read_job(job: Path) -> Outcomes:
 
 
 def find_jobs(folder: Path) -> list[Path]:
-    """The folders of all finished jobs at or below ``folder``, in order of their names."""
+    """The folders of all finished jobs at or below ``folder``, sorted."""
     return [job for job, finished in find_folders(folder) if finished]
 
 
 def find_folders(folder: Path) -> list[tuple[Path, bool]]:
-    """The folders of all jobs at or below ``folder``, by name, and whether each is finished.
+    """The folders of all jobs at or below ``folder``, sorted, and whether each is finished.
 
-    Hidden folders and links to folders are not looked into: a link may lead anywhere.
+    Hidden folders and links to folders are skipped: a link may lead anywhere.
     """
     found: list[tuple[Path, bool]] = []
     below = [folder]
@@ -282,16 +282,16 @@ def find_folders(folder: Path) -> list[tuple[Path, bool]]:
 
 
 def read_jobs(folders: Iterable[Path]) -> list[Outcomes]:
-    """The outcomes of every finished job in any set of job and sweep folders."""
+    """The outcomes of all finished jobs in any set of job and sweep folders."""
     jobs = dict.fromkeys(job for folder in folders for job in find_jobs(Path(folder)))
     return [read_job(job) for job in jobs]
 
 
 def read_frame(folders: Iterable[Path]) -> pd.DataFrame:
-    """The trials of every finished job as one data frame.
+    """The trials of all finished jobs as one data frame.
 
-    The columns of ``trials.csv``, and before them ``experiment``, ``job``, ``strategy`` and one
-    column for each parameter of a strategy.
+    The columns are ``experiment``, ``job``, ``strategy``, one for each parameter of a strategy, and
+    those of ``trials.csv``.
     """
     import pandas as pd
 

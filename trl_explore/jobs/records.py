@@ -1,4 +1,4 @@
-"""Reading what a job recorded beside its scores: diagnostics and evaluations."""
+"""Read and check the diagnostics and evaluations of a job."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ROUNDING = 1e-4
-"""By which single precision may pass a bound."""
+"""Tolerance at a bound, because the values have single precision."""
 
 
 def read_diagnostics(job: Path, episodes: pd.DataFrame | None = None) -> pd.DataFrame | None:
-    """The diagnostics of a job, one row per trial and iteration, checked.
+    """Read and check the diagnostics of a job, one row per trial and iteration.
 
     Args:
         job: folder of a finished job.
-        episodes: what ``read_episodes`` gave for it, if that was read already.
+        episodes: the result of ``read_episodes`` for it, if already read.
 
     Returns:
         The columns trial, iteration and ``DIAGNOSTIC_COLUMNS`` (nan: no value), ordered by trial
-        and iteration; None where none were recorded.
+        and iteration; None if no diagnostics were recorded.
 
     Raises:
-        ResultsError: if there are no episodes, or the columns are not what they should be.
+        ResultsError: if there are no episodes, or a column is missing or invalid.
     """
     frame = read_episodes(job) if episodes is None else episodes
     present = [name for name in DIAGNOSTIC_COLUMNS if name in frame.columns]
@@ -46,31 +46,31 @@ def read_diagnostics(job: Path, episodes: pd.DataFrame | None = None) -> pd.Data
         return None
     where = job / EPISODES
     if missing := [name for name in DIAGNOSTIC_COLUMNS if name not in present]:
-        raise ResultsError(f"{where}: no column {', '.join(missing)}")
+        raise ResultsError(f"{where}: missing column: {', '.join(missing)}")
     for name in DIAGNOSTIC_COLUMNS:
         if frame[name].dtype.kind not in "fi":
-            raise ResultsError(f"{where}: column {name} is not of numbers")
+            raise ResultsError(f"{where}: column {name} does not hold numbers")
         low, high = DIAGNOSTICS[name].bounds
         values = frame[name].to_numpy(np.float64)
         if ((values < low - ROUNDING) | (values > high + ROUNDING)).any():
-            raise ResultsError(f"{where}: column {name} leaves the range {low:g} to {high:g}")
+            raise ResultsError(f"{where}: column {name} is outside the range {low:g} to {high:g}")
     keys = ["trial", "iteration"]
     rows = frame.loc[:, [*keys, *DIAGNOSTIC_COLUMNS]].drop_duplicates()
     rows = rows.sort_values(by=keys)
     if rows.duplicated(keys).any():
-        raise ResultsError(f"{where}: episodes of one iteration differ in their diagnostics")
+        raise ResultsError(f"{where}: the diagnostics differ between episodes of one iteration")
     return rows.reset_index(drop=True)
 
 
 def read_evaluations(job: Path) -> dict[str, NDArray[Any]] | None:
-    """``evaluations.csv`` of a job, one entry per episode, held against its trials.
+    """Read ``evaluations.csv`` of a job, one entry per episode, and check it against the trials.
 
     Returns:
-        trial and iteration (int64) and score (float64) [n], in the order of the file; None where
+        trial and iteration (int64) and score (float64) [n], in the order of the file; None if
         nothing was evaluated.
 
     Raises:
-        ResultsError: if the file is truncated or foreign.
+        ResultsError: if the file is truncated or invalid.
     """
     where = job / EVALUATIONS
     if not where.exists():
@@ -79,7 +79,7 @@ def read_evaluations(job: Path) -> dict[str, NDArray[Any]] | None:
     config, trials = read_run(job)["config"], read_trials(job)
     every, count = config.get("evaluate_every"), config.get("evaluate_episodes", 1)
     if not isinstance(every, int) or not isinstance(count, int) or every < 1 or count < 1:
-        raise ResultsError(f"{where}: the job was configured without evaluations")
+        raise ResultsError(f"{where}: the configuration of the job has no evaluations")
     expected = [
         (trial, i)
         for trial, last in zip(trials["trial"], trials["iterations"], strict=True)
@@ -88,5 +88,5 @@ def read_evaluations(job: Path) -> dict[str, NDArray[Any]] | None:
     ]
     found = sorted(zip(columns["trial"].tolist(), columns["iteration"].tolist(), strict=True))
     if found != expected:
-        raise ResultsError(f"{where}: its episodes are not those of {TRIALS}")
+        raise ResultsError(f"{where}: its episodes do not match {TRIALS}")
     return columns

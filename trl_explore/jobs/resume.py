@@ -1,4 +1,4 @@
-"""When a job's checkpoints are taken, and how it goes on from one."""
+"""When to save the checkpoints of a job, and how to resume from them."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ if TYPE_CHECKING:
     from trl_explore.training.trainer import Trainer
 
 SHARE = 0.01
-"""Checkpoints take at most about this share of the time, however slow the disk is."""
+"""Maximum share of the time spent on checkpoints (approximate), however slow the disk is."""
 SLOW = 0.2
-"""Seconds of an iteration from which the state before it is kept, should it be broken off."""
+"""Iterations longer than this [s] keep the state before them, in case they are interrupted."""
 
 logger = logging.getLogger(__name__)
 
 
 class Saver:
-    """Takes checkpoints of a shard at the boundaries of iterations: ``trainer.on_iteration``.
+    """Saves checkpoints of a shard between iterations; called as ``trainer.on_iteration``.
 
-    A checkpoint that cannot be written (a full disk, a folder without permission) does not end the
-    training: one line says so, and the next one is tried in its turn.
+    If a checkpoint cannot be written (full disk, no permission), training continues: one line
+    reports it, and the next checkpoint is saved when it is due.
 
     Args:
-        store: where they go.
-        trainer: whose state.
-        header: what is to be known of the job before its state is loaded, as JSON.
+        store: the checkpoint files.
+        trainer: the trainer whose state is saved.
+        header: facts about the job needed before its state is loaded, as JSON.
         interrupts: the signals of the job.
-        seconds: the time between two checkpoints; 0 takes one after every iteration.
-        final: whether a checkpoint is taken when all trials have stopped.
-        elapsed: the seconds of the job's training so far; None: those of the trainer.
+        seconds: the time between two checkpoints; 0: save after every iteration.
+        final: whether to save a checkpoint when all trials have stopped.
+        elapsed: returns the seconds of training of the job so far; None: those of the trainer.
 
     Raises:
-        TypeError: if a part of the trainer has a state that cannot be written.
+        TypeError: if a part of the trainer has a state that cannot be saved.
     """
 
     def __init__(
@@ -70,10 +70,10 @@ class Saver:
         self._due = self._last + seconds
 
     def __call__(self, trials: Trials) -> None:
-        """After an iteration: a checkpoint if it is time to, and the end if a signal has come.
+        """After an iteration, save a checkpoint if one is due, and stop if a signal was received.
 
         Raises:
-            Interrupted: if a signal has come.
+            Interrupted: if a signal was received.
         """
         with self._lock:
             self._kept = None
@@ -89,9 +89,9 @@ class Saver:
             self._last = time.monotonic()
 
     def rescue(self) -> None:
-        """After an iteration was broken off: write the state before it, if it was kept.
+        """After an interrupted iteration, save the state before it, if it was kept.
 
-        Nothing is written from here on: a thread may still be busy with that iteration.
+        Nothing is saved afterwards: a thread may still be running that iteration.
         """
         with self._lock:
             if self._kept is not None:
@@ -112,7 +112,7 @@ class Saver:
                 if not self._complained:
                     self._complained = True
                     logger.warning(
-                        "no checkpoint can be written (%s): %s", error.strerror, self.store.folder
+                        "cannot write a checkpoint (%s): %s", error.strerror, self.store.folder
                     )
         ended = time.monotonic()
         pause = (ended - started) / SHARE if self.seconds else 0
@@ -120,10 +120,10 @@ class Saver:
 
 
 def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
-    """Put a trainer that has not run where the checkpoint was taken.
+    """Restore a new trainer to the state of the checkpoint.
 
     Raises:
-        ValueError: if the checkpoint is of another trainer.
+        ValueError: if the checkpoint belongs to another trainer.
     """
     try:
         for part in checkpoint.history:
@@ -131,19 +131,21 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
         trainer.load_state_dict(unpack(checkpoint.state))
     except (KeyError, TypeError, RuntimeError, IndexError, AttributeError) as error:
         text = " ".join(str(error).split())
-        raise ValueError(f"its checkpoint is not of this program ({text})") from error
+        raise ValueError(
+            f"the checkpoint does not fit this program ({text}); restart=true starts over"
+        ) from error
 
 
 class Checkpoints:
-    """The checkpoints of a job, one for each of its shards.
+    """The checkpoints of a job, one for each shard.
 
     Args:
         job: the folder of the job.
-        load: whether to look for checkpoints; one line of warning if one of them is damaged.
+        load: whether to load existing checkpoints; prints one warning if any is damaged.
 
     Attributes:
-        header: what one of them says of the job; None: there are none.
-        savers: what takes them, once the training has been given to ``attach``.
+        header: the header of a checkpoint; None: there are no checkpoints.
+        savers: one for each shard, after ``attach``.
     """
 
     def __init__(self, job: Path, *, load: bool = True) -> None:
@@ -156,7 +158,7 @@ class Checkpoints:
             if checkpoint is not None:
                 self._found[k] = store, checkpoint
             if damaged:
-                what = "going on from the one before" if checkpoint else "its trials begin anew"
+                what = "resuming from the previous one" if checkpoint else "its trials start over"
                 logger.warning("damaged checkpoint, %s: %s", what, "; ".join(damaged))
         headers = [checkpoint.header for _, checkpoint in self._found.values()]
         self.header = headers[0] if headers else None
@@ -164,17 +166,17 @@ class Checkpoints:
 
     @property
     def sizes(self) -> list[int] | None:
-        """The sizes of the shards; None: there are no checkpoints."""
+        """The sizes of the shards; None if there are no checkpoints."""
         return None if self.header is None else self.header["shards"]
 
     def attach(
         self, shards: Shards, header: Mapping[str, Any], interrupts: Interrupts, seconds: float
     ) -> None:
-        """Put every shard where its checkpoint was taken, and take the next ones.
+        """Restore every shard from its checkpoint, and prepare to save the next ones.
 
         Args:
-            shards: the training, which has not run.
-            header: what is to be known of the job before its state is loaded, as JSON.
+            shards: the shards, before they run.
+            header: facts about the job needed before its state is loaded, as JSON.
             interrupts: the signals of the job.
             seconds: the time between two checkpoints of a shard.
         """
@@ -193,13 +195,13 @@ class Checkpoints:
                 store.clear()
 
     def rescue(self) -> None:
-        """After the training was broken off: write what iterations began with, and no more."""
+        """After an interruption, save the states kept by the savers, then stop saving."""
         for saver in self.savers:
             saver.rescue()
 
     @property
     def where(self) -> str:
-        """Where the training goes on."""
+        """The iteration from which training resumes, in words."""
         saved = [saver.saved for saver in self.savers]
         if len(saved) < 2:
             return f"iteration {saved[0]}" if any(saved) else ""

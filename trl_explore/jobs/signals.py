@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: when a job may be left, and when it must not."""
+"""Handling of SIGINT (Ctrl-C), SIGTERM and SIGHUP: when they end a job, and when they wait."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from types import FrameType, TracebackType
 from typing import NoReturn
 
 PATIENCE = 0.8
-"""Seconds that an iteration has to end by itself before it is broken off."""
+"""Seconds to wait for the end of an iteration before it is interrupted."""
 TWICE = 0.3
-"""Seconds within which a second signal is the first one again, as ``timeout`` sends it."""
+"""A second signal within this time [s] counts as a repeat of the first; ``timeout`` sends two."""
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 
 
 _received: list[Interrupted] = []
-"""The signals that have come since the program began to serve them."""
+"""The signals received since ``raise_on_signals``."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal that ends the program; not an ``Exception``, so that nobody takes it for one."""
+    """A signal that ends the program; not an ``Exception``, so that no handler swallows it."""
 
     def __init__(self, signum: int) -> None:
         super().__init__(WORDS.get(signal.Signals(signum), "stopped"))
         self.signum = signum
         self.where = ""
-        """Which job was broken off, and where it goes on."""
+        """Which job was interrupted, and the iteration from which it resumes."""
 
     @property
     def status(self) -> int:
@@ -39,7 +39,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 def raise_on_signals() -> None:
-    """From here on, SIGINT, SIGTERM and SIGHUP raise ``Interrupted`` wherever the program is."""
+    """Make SIGINT, SIGTERM and SIGHUP raise ``Interrupted`` at any point of the program."""
 
     def handle(signum: int, frame: FrameType | None) -> None:
         _received.append(Interrupted(signum))
@@ -52,9 +52,9 @@ def raise_on_signals() -> None:
 
 
 def _lost(event: sys.UnraisableHookArgs) -> None:
-    """What was raised in a destructor goes no further: end the process here, without a word of it.
+    """End the process if ``Interrupted`` was raised in a destructor, where Python drops it.
 
-    Within a job the exception comes again, at the next boundary or by the timer.
+    Within a job, the exception is raised again, after the iteration or by the timer.
     """
     if not isinstance(event.exc_value, Interrupted):
         sys.__unraisablehook__(event)
@@ -63,19 +63,19 @@ def _lost(event: sys.UnraisableHookArgs) -> None:
 
 
 def check() -> None:
-    """End here if a signal has come.
+    """Raise ``Interrupted`` if a signal was received.
 
-    What it raised may have been lost on the way, or taken for an error of the code it was in.
+    The exception of the handler may have been dropped or converted to another error.
 
     Raises:
-        Interrupted: if so.
+        Interrupted: if a signal was received.
     """
     if _received:
         raise _received[0] from None
 
 
 def leave_on_signals() -> None:
-    """From here on, they end the process at once: while it is only importing its modules."""
+    """Make these signals end the process at once, while it is still importing modules."""
 
     def handle(signum: int, frame: FrameType | None) -> None:
         leave(Interrupted(signum))
@@ -85,13 +85,13 @@ def leave_on_signals() -> None:
 
 
 def leave(error: Interrupted) -> NoReturn:
-    """End the process, with a line that says why and the conventional status."""
-    print(f"{error}{error.where}; the same command goes on", file=sys.stderr, flush=True)
+    """Print why the process ends, and end it with the conventional status."""
+    print(f"{error}{error.where}; run the same command to resume", file=sys.stderr, flush=True)
     os._exit(error.status)
 
 
 def _served() -> list[signal.Signals]:
-    """The signals that end a program; a hang-up only if nobody has said that it does not."""
+    """The signals to handle; SIGHUP only if it is not ignored (``nohup``)."""
     if threading.current_thread() is not threading.main_thread():
         return []  # only the main thread may set handlers
     ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
@@ -99,21 +99,21 @@ def _served() -> list[signal.Signals]:
 
 
 class Interrupts:
-    """What a signal does within a job; before and after, the handlers are as they were.
+    """Handles signals within a job; restores the previous handlers afterwards.
 
-    * At first it ends the process at once, after ``tidy``: imports and compilers do not take an
-      exception at any line.
-    * Within ``deferred`` it is noted, and raised by ``check`` at the next boundary; if none comes
-      in time, it is raised wherever the program is. What is broken off then is thrown away.
-    * Within ``held`` it waits, however long that takes: files are being written.
-    * The second one ends the process at once, whatever it does.
+    * Outside ``deferred``, a signal calls ``tidy`` and ends the process at once: imports and
+      compilers do not survive an exception at an arbitrary line.
+    * Within ``deferred``, it is recorded, and ``check`` raises it after the iteration; if the
+      iteration takes longer than ``PATIENCE``, it is raised at once and the iteration is discarded.
+    * Within ``held``, it waits without a limit, because files are being written.
+    * A second signal ends the process at once, in every state.
 
     Args:
-        tidy: called before the process is ended at the beginning.
+        tidy: called before a signal outside ``deferred`` ends the process.
     """
 
     serving = False
-    """Whether a job is served at present."""
+    """Whether the signals of a job are being handled."""
 
     def __init__(self, tidy: Callable[[], None]) -> None:
         self.tidy = tidy
@@ -141,7 +141,7 @@ class Interrupts:
     ) -> None:
         Interrupts.serving = False
         for signum, handler in self._before.items():
-            if signum == signal.SIGALRM:  # the last: nobody sets the timer any more
+            if signum == signal.SIGALRM:  # restored last: no handler sets the timer after it
                 self._stop_timer()
             signal.signal(signum, handler)
         if kind is None:
@@ -157,7 +157,7 @@ class Interrupts:
         if not self._deferred:
             self.tidy()
             leave(self.pending)
-        # Again and again: an exception within a destructor or a callback gets lost.
+        # Repeat it: an exception raised in a destructor or a callback is dropped.
         signal.setitimer(signal.ITIMER_REAL, PATIENCE, TWICE)
 
     def _alarm(self, signum: int, frame: FrameType | None) -> None:
@@ -169,17 +169,17 @@ class Interrupts:
             signal.setitimer(signal.ITIMER_REAL, 0)
 
     def check(self) -> None:
-        """End here if a signal has come.
+        """Raise ``Interrupted`` if a signal was received.
 
         Raises:
-            Interrupted: if so.
+            Interrupted: if a signal was received.
         """
         if self.pending is not None:
             raise self.pending from None
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
-        """A signal waits for ``check``, but not for longer than ``PATIENCE``."""
+        """Within this context, a signal waits for ``check``, but at most ``PATIENCE`` seconds."""
         self._deferred = True
         try:
             yield
@@ -188,7 +188,7 @@ class Interrupts:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Nothing is raised here."""
+        """Within this context, no signal raises an exception."""
         with self._count:  # several threads write their checkpoints
             self._held += 1
         try:

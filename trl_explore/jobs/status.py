@@ -1,7 +1,7 @@
-"""How far a sweep is: which jobs are done, running, failed or left, from a glance at their files.
+"""The status of a sweep: which jobs are done, running, failed, cut off or left.
 
-A folder with ten thousand jobs is read in about a second: one small file for each finished job,
-the head of a checkpoint for each begun one, and neither torch nor pandas.
+A folder with ten thousand jobs is read in about a second: one small file for each finished job, and
+the header of a checkpoint for each unfinished one. Neither torch nor pandas is needed.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ STATES = (DONE, RUNNING, FAILURE, CUT, LEFT)
 MARKS = {RUN, TRIALS, EPISODES, ".hydra", CHECKPOINT, LOCK}
 """A folder that holds one of these is the folder of a job."""
 HEAD = 2**24
-"""Bytes at most of the head of a checkpoint; more than that is not one of this program."""
+"""Maximum size of the header of a checkpoint in bytes; a larger one is not a checkpoint."""
 SHOWN = 40
-"""A sweep of more jobs is shown without those that are done."""
+"""In a sweep with more jobs than this, finished jobs are not shown."""
 
 
 @dataclass(frozen=True)
 class JobStatus:
-    """A job: its state, how many iterations it has done at least, and in how many seconds.
+    """A job: its state, the number of iterations saved so far, and their seconds.
 
-    ``cap`` is the number of iterations after which it ends at the latest; ``reason`` says why it
-    failed. What is not known is None.
+    ``cap`` is the maximum number of iterations; ``reason`` says why the job failed. Unknown values
+    are None.
     """
 
     name: str
@@ -50,7 +50,7 @@ class JobStatus:
 
 @dataclass(frozen=True)
 class SweepStatus:
-    """The jobs in a folder, by name."""
+    """The jobs in a folder, sorted by name."""
 
     folder: Path
     jobs: list[JobStatus]
@@ -62,10 +62,10 @@ class SweepStatus:
 
 
 def survey(folders: Iterable[Path]) -> list[SweepStatus]:
-    """The sweeps at or below the folders; a folder of a job is a sweep with this job alone.
+    """The sweeps at or below the folders; the folder of a job gives a sweep with only this job.
 
     Raises:
-        ResultsError: if a folder does not exist, or nothing in it is of this program.
+        ResultsError: if a folder does not exist, or holds no job.
     """
     found: dict[Path, SweepStatus] = {}
     for folder in folders:
@@ -105,7 +105,7 @@ def _sweeps(folder: Path) -> Iterator[SweepStatus]:
 
 
 def _subfolders(folder: Path) -> list[str]:
-    """The folders in a folder, without hidden ones and without links, which may lead anywhere."""
+    """The folders in a folder, without hidden folders and links, which may lead anywhere."""
     try:
         with os.scandir(folder) as entries:
             return sorted(
@@ -124,7 +124,7 @@ def _with_failure(job: JobStatus, failures: dict[str, str]) -> JobStatus:
 
 
 def _job(folder: Path) -> JobStatus | None:
-    """The state of a job; None if it is no folder of a job."""
+    """The state of a job; None if the folder is not that of a job."""
     run = _json(folder / RUN)
     if run is not None:
         return _described(folder.name, DONE, run)
@@ -140,7 +140,7 @@ def _job(folder: Path) -> JobStatus | None:
 
 
 def _json(path: Path) -> dict[str, Any] | None:
-    """What a file says; None where there is none, nothing where it is not legible."""
+    """The contents of a file; None if it does not exist, empty if it is not readable."""
     try:
         content = json.loads(path.read_bytes())
     except FileNotFoundError:
@@ -151,7 +151,7 @@ def _json(path: Path) -> dict[str, Any] | None:
 
 
 def _progress(folder: Path) -> dict[str, Any]:
-    """The header of the newest checkpoint of the shards."""
+    """The header of the newest checkpoint of any shard."""
     slots = [path for name in SLOTS for path in (folder / CHECKPOINT).glob(f"*/{name}")]
     headers = [header for path in slots if (header := _header(path))]
     return max(headers, key=_newness, default={})
@@ -164,7 +164,7 @@ def _newness(header: dict[str, Any]) -> tuple[float, int]:
 
 
 def _header(path: Path) -> dict[str, Any]:
-    """The header of a checkpoint, which stands in the first bytes of the file."""
+    """The header of a checkpoint, from the first bytes of the file."""
     try:
         with path.open("rb") as file:
             size = int.from_bytes(file.read(8), "little")
@@ -194,11 +194,11 @@ def _integer(value: Any) -> int | None:
 
 
 def report(sweep: SweepStatus, *, everything: bool = False) -> str:
-    """One line for the sweep, and one for each job.
+    """One line for the sweep, and one line for each job.
 
     Args:
-        sweep: what is known of it.
-        everything: show the jobs that are done, also where there are many.
+        sweep: its status.
+        everything: whether to show the finished jobs of a sweep with many jobs, too.
     """
     counts = sweep.counts()
     left = counts[CUT] + counts[LEFT]
@@ -225,5 +225,5 @@ def _row(job: JobStatus) -> tuple[str, ...]:
 
 
 def _printable(text: str) -> str:
-    """A text from a file or a folder's name, without what would move a terminal's cursor."""
+    """A text from a file or a folder name, without terminal control characters."""
     return "".join(c if c.isprintable() else "?" for c in text)

@@ -1,10 +1,10 @@
-"""What the folder of a sweep says beside its jobs: which ones were asked for, which ones failed.
+"""Records of a sweep in its folder: which jobs were requested, and which ones failed.
 
-    sweep.json              the jobs that were asked for, as long as one of them is not finished
+    sweep.json              the requested jobs, until all of them are finished
     .failed/<job>.json      why a job failed, until it is finished
 
-Both are small files that appear at once and whole, written by several processes; neither is there
-once everything is finished, so that an interrupted sweep ends with the files of any other.
+Several processes write these small files, each atomically. Both are removed when all jobs are
+finished, so that an interrupted and resumed sweep leaves the same files as any other.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ SWEEP, FAILED, MULTIRUN = "sweep.json", ".failed", "multirun.yaml"
 
 
 def begin_sweep(sweep: Path, jobs: Sequence[str]) -> None:
-    """Write down which jobs are asked for; those of an earlier sweep that are not done stay."""
+    """Record the requested jobs; unfinished jobs of an earlier sweep stay on the list."""
     asked = dict.fromkeys([*jobs, *_unfinished(sweep, read_asked(sweep))])
     _write(sweep / SWEEP, {"jobs": list(asked)})
 
 
 def end_sweep(sweep: Path) -> None:
-    """Remove what is no longer needed, and the folder itself if no job left anything in it."""
+    """Remove records that are no longer needed, and the folder if it holds no job."""
     with suppress(OSError):
         if not _unfinished(sweep, read_asked(sweep)):
             (sweep / SWEEP).unlink(missing_ok=True)
@@ -44,7 +44,7 @@ def _unfinished(sweep: Path, jobs: Iterable[str]) -> list[str]:
 
 
 def read_asked(sweep: Path) -> list[str]:
-    """The names of the jobs that were asked for; none where nothing legible says so."""
+    """The names of the requested jobs; none if the record is missing or not readable."""
     try:
         jobs = json.loads((sweep / SWEEP).read_text(encoding="utf-8"))["jobs"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
@@ -53,26 +53,26 @@ def read_asked(sweep: Path) -> list[str]:
 
 
 def is_name(job: object) -> bool:
-    """Whether a text that was read from a file names an entry of a folder, and no other place."""
+    """Whether a text read from a file is a plain file name, not a path to another place."""
     return isinstance(job, str) and job not in ("", ".", "..") and not {"/", "\0"} & set(job)
 
 
 def record_failure(job: Path, reason: str) -> None:
-    """Write down why a job failed."""
-    with suppress(OSError):  # the reason is told on the terminal in any case
+    """Record why a job failed."""
+    with suppress(OSError):  # the terminal shows the reason in any case
         (job.parent / FAILED).mkdir(exist_ok=True)
         _write(job.parent / FAILED / f"{job.name}.json", {"job": job.name, "reason": reason})
 
 
 def forget_failure(job: Path) -> None:
-    """Remove the record that a job failed; it is finished now."""
+    """Remove the record of a failure, because the job is finished now."""
     with suppress(OSError):
         (job.parent / FAILED / f"{job.name}.json").unlink()
         (job.parent / FAILED).rmdir()
 
 
 def read_failures(sweep: Path) -> dict[str, str]:
-    """The reason for every job that failed, by name."""
+    """The reason of each failed job, by name."""
     reasons = {}
     with suppress(OSError):
         for path in sorted((sweep / FAILED).iterdir()):
@@ -81,7 +81,7 @@ def read_failures(sweep: Path) -> dict[str, str]:
             try:
                 reasons[path.stem] = str(json.loads(path.read_text(encoding="utf-8"))["reason"])
             except (OSError, ValueError, KeyError, TypeError, RecursionError):
-                reasons[path.stem] = "the reason is not legible"
+                reasons[path.stem] = "the reason is not readable"
     return reasons
 
 

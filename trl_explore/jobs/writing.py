@@ -1,4 +1,4 @@
-"""Writing the files of a job: each appears at once and whole, ``run.json`` last."""
+"""Write the files of a job, each atomically and ``run.json`` last."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 def clear(job: Path) -> None:
-    """Remove the results of a job, finished or not, from its folder; ``run.json`` first."""
+    """Remove the results of a job, finished or unfinished, from its folder; ``run.json`` first."""
     for name in (RUN, TRIALS, EPISODES, EVALUATIONS, WEIGHTS):
         (job / name).unlink(missing_ok=True)
     for temporary in job.glob(".*.tmp"):
@@ -55,7 +55,7 @@ def clear(job: Path) -> None:
 
 
 def versions() -> dict[str, str]:
-    """What the bits of a result may depend on: Python and the packages, with their versions."""
+    """The versions of Python and of the packages on which the bits of a result may depend."""
     return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}
 
 
@@ -76,17 +76,17 @@ def write_job(
     """Write every file of a finished job.
 
     Args:
-        job: the folder, which exists and holds no results.
-        trials: the record of the trials, all of them stopped.
+        job: the folder, which must exist and hold no results.
+        trials: the record of the trials, all stopped.
         weights: name -> parameter [trials, ...].
         config: the resolved configuration.
-        experiment: name of the sweep.
+        experiment: name of the experiment.
         strategy: name of the strategy.
         collector: name of the collector that was used.
         seconds: wall time of the training, without compilation.
         episodes: whether to write ``episodes.csv``.
-        evaluations: the columns of ``evaluations.csv``, if there is one.
-        diagnostics: further columns of ``episodes.csv``, an entry per iteration and active trial.
+        evaluations: the columns of ``evaluations.csv``; None: do not write it.
+        diagnostics: further columns of ``episodes.csv``, one entry per iteration and active trial.
     """
     import torch
 
@@ -119,7 +119,7 @@ def write_job(
 
 
 def _record(job: Path) -> dict[str, dict[str, Any]]:
-    """Length in bytes and SHA-256 of every file that a job has written, for ``run.json``."""
+    """The length in bytes and SHA-256 of every file of the job, for ``run.json``."""
     names = (TRIALS, EPISODES, EVALUATIONS, WEIGHTS)
     paths = [job / name for name in names] + sorted((job / SCALARS).glob("*.csv"))
     return {
@@ -139,7 +139,7 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Wait until the disk has the contents: a rename must not outlive a loss of power alone."""
+    """Flush the contents to disk: after a power failure, a rename must not survive without them."""
     place = os.open(path, os.O_RDONLY)
     try:
         os.fsync(place)
@@ -162,7 +162,7 @@ def _episodes_csv(
     values = _from(first_trial, trials.episodes())
     if not extra:
         return table_text(EPISODE_COLUMNS, values)
-    # The quantities of an iteration stand beside each of its episodes, in single precision.
+    # The diagnostics of an iteration are repeated for each of its episodes, in single precision.
     repeats = len(values["trial"]) // len(next(iter(extra.values())))
     own = (map(column.write, values[name].tolist()) for name, column in EPISODE_COLUMNS.items())
     more = (map(str, np.repeat(column, repeats)) for column in extra.values())
@@ -171,7 +171,7 @@ def _episodes_csv(
 
 
 def _from(first_trial: int, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The columns, with the trials counted from the first one of the job."""
+    """The columns, with trial numbers that start at the job's first trial."""
     return {**columns, "trial": columns["trial"] + first_trial}
 
 
@@ -179,7 +179,7 @@ def _write_scalars(job: Path, trials: Trials) -> None:
     from torchrl.record import CSVLogger
 
     parent = job / ".scalars.tmp"
-    shutil.rmtree(parent, ignore_errors=True)  # the logger appends to what it finds
+    shutil.rmtree(parent, ignore_errors=True)  # the logger appends to existing files
     try:
         logger = CSVLogger(exp_name="curves", log_dir=str(parent))
         for name, curve in trials.curves().items():
@@ -202,7 +202,7 @@ def _write_weights(path: Path, weights: Mapping[str, Tensor]) -> None:
 
 
 def write_timings(sweep: Path, timings: pd.DataFrame) -> None:
-    """Write the seconds of trials that were run by themselves.
+    """Write the seconds of trials that were run alone.
 
     Args:
         sweep: the folder that holds the folders of the jobs.
