@@ -225,7 +225,7 @@ class ReinforceLoss(LossModule):
         What is differentiated is the sum of all losses. Where π is the softmax of a linear policy
         its gradient has a closed formula, which takes a fraction of autograd's time and gives the
         same bits. Which of the two serves is decided when the loss is built: hooks of the policy
-        and of its weights are called if they are registered before that.
+        are called if they are registered before that. Hooks of its weights are always called.
         """
         found = self._closed_form(tensordict) if self._has_closed_form else None
         if found is not None:
@@ -241,13 +241,13 @@ class ReinforceLoss(LossModule):
         episodes, _ = self._episodes(tensordict)
         frames, trial = episodes.tensordict, episodes.trial
         weight = self._linear_weight(episodes)
-        if weight is None or not weight.requires_grad:
+        if weight is None or not takes_gradient(weight):
             return None
         observation, action = frames.get("observation"), entry(frames, self.tensor_keys.action)
         if not formula_serves(observation, weight, episodes.reward):
             return None
         found, scale, baseline = None, -self.weight, self.baseline
-        if isinstance(baseline, Constant) and self._is_return_alone():
+        if type(baseline) is Constant and self._is_return_alone():
             found = linear_softmax_reinforce(
                 observation, weight, action, episodes.reward, episodes.done, trial,
                 gamma=self.gamma, baseline=baseline.value, scale=scale,
@@ -335,13 +335,15 @@ class ReinforceLoss(LossModule):
 
 
 def linear_weight_key(actor: ProbabilisticTensorDictSequential) -> tuple[str, ...] | None:
-    """Where W is among the parameters of a linear softmax; None if the formula does not serve.
-
-    That is the case for another π, and where hooks of the gradient are registered.
-    """
+    """Where W is among the parameters of a linear softmax; None for another π."""
     if not has_linear_softmax(actor):
         return None
     weight = cast(LinearPolicy, actor[0]).weight
-    if weight._backward_hooks or weight._post_accumulate_grad_hooks:
-        return None
-    return next(tuple(n.split(".")) for n, p in actor.named_parameters() if p is weight)
+    names = (tuple(name.split(".")) for name, p in actor.named_parameters() if p is weight)
+    return next(names, None)
+
+
+def takes_gradient(weight: Tensor) -> bool:
+    """Whether a gradient may be added to W without autograd, which calls hooks and goes on."""
+    hooked = weight._backward_hooks or weight._post_accumulate_grad_hooks
+    return weight.requires_grad and weight.is_leaf and not hooked

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeGuard
 
 import torch
 from tensordict import TensorDictBase, is_tensor_collection
@@ -17,9 +17,11 @@ from torch.distributions import Categorical as TorchCategorical
 from torch.distributions import Distribution
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 
+from trl_explore.checks import holds
 from trl_explore.numerics.densities import categorical_log_prob, gaussian_entropy, gaussian_log_prob
 from trl_explore.numerics.score import lane_sum
-from trl_explore.policies.policy import has_hooks
+from trl_explore.policies.policy import LaneLinear, has_hooks
+from trl_explore.policies.softmax import LinearPolicy
 
 
 class SoftmaxCategorical(TorchCategorical):
@@ -172,7 +174,7 @@ def frame_distribution(
 ) -> Distribution:
     """π(·|s) of every frame; it obeys an action mask wherever the data have one."""
     # On a copy, since the actor writes to what it is given.
-    if not isinstance(actor, SoftmaxActor):
+    if not is_softmax(actor):
         return actor.get_dist(tensordict.copy())
     mask = tensordict.get("action_mask", None)
     if actor.masked and mask is None:
@@ -211,9 +213,22 @@ def score_sum(
 def has_linear_softmax(actor: ProbabilisticTensorDictSequential) -> bool:
     """Whether π = softmax(W[trial] observation), of which the gradient has a closed formula.
 
-    A policy declares it in ``linear_softmax``; forward hooks may change what it writes.
+    A policy declares it in ``linear_softmax``; forward hooks may change what it writes, and so may
+    another module in it.
     """
-    if not isinstance(actor, SoftmaxActor) or actor.masked:
+    if not is_softmax(actor) or actor.masked:
         return False
-    policy = actor[0]
-    return getattr(policy, "linear_softmax", False) and not has_hooks(policy)
+    policy: Any = actor[0]
+    if not getattr(policy, "linear_softmax", False) or has_hooks(policy):
+        return False
+    if not holds(policy, "linear_softmax", ["forward"]):
+        return False
+    if type(policy).forward is not LinearPolicy.forward:
+        return True  # a class that says so itself
+    return type(policy.module) is LaneLinear and policy.module.bias is None
+
+
+def is_softmax(actor: ProbabilisticTensorDictSequential) -> TypeGuard[SoftmaxActor]:
+    """Whether π is the softmax of what the policy writes; a subclass may change ``get_dist``."""
+    own = "get_dist" not in vars(actor) and type(actor).get_dist is SoftmaxActor.get_dist
+    return own and isinstance(actor, SoftmaxActor)
