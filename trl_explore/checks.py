@@ -120,6 +120,34 @@ def settle(cls: type, attribute: str, value: bool, methods: Collection[str]) -> 
             return
 
 
+def holds(instance: object, attribute: str, methods: Collection[str]) -> bool:
+    """Whether an object's methods are those that the declaration of its class speaks of.
+
+    ``settle`` sees what a class overrides when it is made, and not what is put into the object, or
+    into its class later.
+
+    Args:
+        instance: the object.
+        attribute: the name of the declaration.
+        methods: the methods that the declaration speaks of.
+
+    Example:
+        >>> class Base:
+        ...     fast = True
+        ...     def run(self): ...
+        >>> base = Base()
+        >>> holds(base, "fast", ["run"])
+        True
+        >>> base.run = print
+        >>> holds(base, "fast", ["run"])
+        False
+    """
+    kind = type(instance)
+    stated = next(cls for cls in kind.__mro__ if attribute in vars(cls))
+    same = all(getattr(kind, name, None) is getattr(stated, name, None) for name in methods)
+    return same and vars(instance).keys().isdisjoint(methods)
+
+
 def first_line(error: BaseException) -> str:
     """The first line of an error's message."""
     return str(error).strip().split("\n")[0] or type(error).__name__

@@ -243,6 +243,17 @@ def test_a_method_that_is_not_called_is_not_passed_over(method):
     build(make_env(trials=2), stated())
 
 
+@pytest.mark.parametrize("method", MixtureStrategy.REPLACED)
+def test_a_method_that_is_put_in_later_is_not_passed_over(method):
+    patched, own, hooked = type("Patched", (Softmax,), {}), Softmax(), Softmax()
+    setattr(patched, method, lambda self, *args: None)
+    setattr(own, method, lambda *args: None)
+    hooked.register_forward_hook(lambda module, given, out: out)
+    for strategy in (patched(), own, hooked):
+        with pytest.raises(NotCompilableError, match=r"compilable|hooks"):
+            build(make_env(trials=2), strategy)
+
+
 def test_batches_of_an_iteration_have_memory_of_their_own():
     collector = build(make_env(trials=3), total_frames=200)
     batches = list(collector)

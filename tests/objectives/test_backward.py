@@ -17,7 +17,7 @@ from trl_explore.config.kinds import options
 from trl_explore.envs import make_env
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.policies import LinearPolicy
-from trl_explore.policies.actor import actor_of
+from trl_explore.policies.actor import SoftmaxActor, SoftmaxCategorical, actor_of
 from trl_explore.strategies import Softmax
 
 TRIALS = 5
@@ -207,11 +207,45 @@ def test_a_changed_policy_is_not_passed_over(world):
         FusedCollector(env, TensorDictSequential(hooked, Softmax()))
 
 
-def test_hooks_of_the_weights_are_called(world):
+def test_a_changed_object_is_not_passed_over(world):
+    env, _, _, data = world("CartPole-v1", "linear")
+
+    class Half(SoftmaxActor):
+        def get_dist(self, tensordict, **options):
+            return SoftmaxCategorical(0.5 * self[0](tensordict.copy()).get("logits"))
+
+    plain, biased, patched, squashed = (LinearPolicy(env) for _ in range(4))
+    biased.module.bias = nn.Parameter(torch.randn(TRIALS, 2))
+    patched.forward = lambda data: data.set("logits", 0.5 * plain(data.copy()).get("logits"))
+    nn.utils.parametrize.register_parametrization(squashed.module, "weight", nn.Tanh())
+    for actor in (Half(plain), *map(SoftmaxActor, (biased, patched, squashed))):
+        for functional in (True, False):
+            loss = ReinforceLoss(actor, trials=TRIALS, functional=functional)
+            action = data["action"]
+            log_prob = actor.get_dist(data.copy()).log_prob(action) * loss.advantage(data)
+            expected = log_prob.new_zeros(TRIALS).index_add(0, data["trial"], log_prob)
+            found = loss.backward(data)
+            torch.testing.assert_close(found, -loss.weight * expected.detach())
+
+
+def test_a_gradient_goes_on_through_a_weight_that_is_no_leaf(world):
+    env, _, _, data = world("CartPole-v1", "linear")
+    policy, scale = LinearPolicy(env), nn.Parameter(torch.ones(()))
+    loss = ReinforceLoss(actor_of(policy), trials=TRIALS, functional=False)
+    weight = policy.module._parameters.pop("weight")
+    policy.module.__dict__["weight"] = weight.detach() * scale
+    loss.backward(data)
+    assert scale.grad
+
+
+@pytest.mark.parametrize("late", [True, False])
+def test_hooks_of_the_weights_are_called(world, late):
     env, _, _, data = world("CartPole-v1", "linear")
     policy = LinearPolicy(env)
-    handle = policy.weight.register_hook(lambda gradient: 0 * gradient)
     loss = ReinforceLoss(actor_of(policy), trials=TRIALS)
+    handle = policy.weight.register_hook(lambda gradient: 0 * gradient)
+    if not late:
+        loss = ReinforceLoss(actor_of(policy), trials=TRIALS)
     loss.backward(data)
     assert not policy.weight.grad.any()
     handle.remove()

@@ -224,8 +224,8 @@ class ReinforceLoss(LossModule):
 
         If π is the softmax of a linear policy, the gradient has a closed form, which takes a
         fraction of autograd's time and gives the same bits. The choice between the two is made when
-        the loss is built, so hooks of the policy and of its weights are called only if they are
-        registered before that.
+        the loss is built, so hooks of the policy are called only if they are registered before
+        that. Hooks of its weights are always called.
         """
         found = self._closed_form(tensordict) if self._has_closed_form else None
         if found is not None:
@@ -241,13 +241,13 @@ class ReinforceLoss(LossModule):
         episodes, _ = self._episodes(tensordict)
         frames, trial = episodes.tensordict, episodes.trial
         weight = self._linear_weight(episodes)
-        if weight is None or not weight.requires_grad:
+        if weight is None or not takes_gradient(weight):
             return None
         observation, action = frames.get("observation"), entry(frames, self.tensor_keys.action)
         if not formula_serves(observation, weight, episodes.reward):
             return None
         found, scale, baseline = None, -self.weight, self.baseline
-        if isinstance(baseline, Constant) and self._is_return_alone():
+        if type(baseline) is Constant and self._is_return_alone():
             found = linear_softmax_reinforce(
                 observation, weight, action, episodes.reward, episodes.done, trial,
                 gamma=self.gamma, baseline=baseline.value, scale=scale,
@@ -335,13 +335,15 @@ class ReinforceLoss(LossModule):
 
 
 def linear_weight_key(actor: ProbabilisticTensorDictSequential) -> tuple[str, ...] | None:
-    """The key of W among the parameters of a linear softmax; None if there is no closed form.
-
-    There is none for any other π, or if gradient hooks are registered on W.
-    """
+    """The key of W among the parameters of a linear softmax; None for any other π."""
     if not has_linear_softmax(actor):
         return None
     weight = cast(LinearPolicy, actor[0]).weight
-    if weight._backward_hooks or weight._post_accumulate_grad_hooks:
-        return None
-    return next(tuple(n.split(".")) for n, p in actor.named_parameters() if p is weight)
+    names = (tuple(name.split(".")) for name, p in actor.named_parameters() if p is weight)
+    return next(names, None)
+
+
+def takes_gradient(weight: Tensor) -> bool:
+    """Whether a gradient may be added to W without autograd, which calls hooks and goes on."""
+    hooked = weight._backward_hooks or weight._post_accumulate_grad_hooks
+    return weight.requires_grad and weight.is_leaf and not hooked

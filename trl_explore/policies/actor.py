@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeGuard
 
 import torch
 from tensordict import TensorDictBase, is_tensor_collection
@@ -17,9 +17,11 @@ from torch.distributions import Categorical as TorchCategorical
 from torch.distributions import Distribution
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 
+from trl_explore.checks import holds
 from trl_explore.numerics.densities import categorical_log_prob, gaussian_entropy, gaussian_log_prob
 from trl_explore.numerics.score import lane_sum
-from trl_explore.policies.policy import has_hooks
+from trl_explore.policies.policy import LaneLinear, has_hooks
+from trl_explore.policies.softmax import LinearPolicy
 
 
 class SoftmaxCategorical(TorchCategorical):
@@ -170,9 +172,15 @@ def frame_log_prob(
 def frame_distribution(
     actor: ProbabilisticTensorDictSequential, tensordict: TensorDictBase
 ) -> Distribution:
+<<<<<<< HEAD
     """π(·|s) of every frame; it obeys an action mask if the data have one."""
     # On a copy, because the actor writes to its input.
     if not isinstance(actor, SoftmaxActor):
+=======
+    """π(·|s) of every frame; it obeys an action mask wherever the data have one."""
+    # On a copy, since the actor writes to what it is given.
+    if not is_softmax(actor):
+>>>>>>> eng-rev
         return actor.get_dist(tensordict.copy())
     mask = tensordict.get("action_mask", None)
     if actor.masked and mask is None:
@@ -211,10 +219,27 @@ def score_sum(
 def has_linear_softmax(actor: ProbabilisticTensorDictSequential) -> bool:
     """Whether π = softmax(W[trial] observation), whose gradient has a closed form.
 
+<<<<<<< HEAD
     The policy declares it in ``linear_softmax``. False with forward hooks, which may change the
     logits.
+=======
+    A policy declares it in ``linear_softmax``; forward hooks may change what it writes, and so may
+    another module in it.
+>>>>>>> eng-rev
     """
-    if not isinstance(actor, SoftmaxActor) or actor.masked:
+    if not is_softmax(actor) or actor.masked:
         return False
-    policy = actor[0]
-    return getattr(policy, "linear_softmax", False) and not has_hooks(policy)
+    policy: Any = actor[0]
+    if not getattr(policy, "linear_softmax", False) or has_hooks(policy):
+        return False
+    if not holds(policy, "linear_softmax", ["forward"]):
+        return False
+    if type(policy).forward is not LinearPolicy.forward:
+        return True  # a class that says so itself
+    return type(policy.module) is LaneLinear and policy.module.bias is None
+
+
+def is_softmax(actor: ProbabilisticTensorDictSequential) -> TypeGuard[SoftmaxActor]:
+    """Whether π is the softmax of what the policy writes; a subclass may change ``get_dist``."""
+    own = "get_dist" not in vars(actor) and type(actor).get_dist is SoftmaxActor.get_dist
+    return own and isinstance(actor, SoftmaxActor)

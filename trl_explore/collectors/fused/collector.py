@@ -23,6 +23,7 @@ from torchrl.data import OneHot
 from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
+from trl_explore.checks import holds
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
 from trl_explore.collectors.fused.columns import Columns
 from trl_explore.collectors.fused.loop import compile_loop
@@ -31,7 +32,7 @@ from trl_explore.collectors.fused.scratch import scratch
 from trl_explore.envs import lane_env
 from trl_explore.envs.kernels import Kernel, kernel_of
 from trl_explore.numerics.streams import Stream, key
-from trl_explore.policies.policy import is_one_hot
+from trl_explore.policies.policy import has_hooks, is_one_hot
 from trl_explore.strategies import MixtureStrategy
 
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
@@ -215,11 +216,13 @@ def check_strategy(strategy: Any) -> None:
     name = type(strategy).__name__
     if not isinstance(strategy, MixtureStrategy):
         raise NotCompilableError(f"{name} is not a mixture of argmax, softmax and uniform")
-    if not strategy.compilable:
+    if not strategy.compilable or not holds(strategy, "compilable", strategy.REPLACED):
         raise NotCompilableError(
             f"{name} overrides one of {', '.join(MixtureStrategy.REPLACED)} "
             "and does not declare itself compilable"
         )
+    if has_hooks(strategy):
+        raise NotCompilableError(f"{name} has hooks")
     keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
     if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
         raise NotCompilableError(f"{name} has one-hot actions or renamed entries")
