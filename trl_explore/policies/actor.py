@@ -172,15 +172,9 @@ def frame_log_prob(
 def frame_distribution(
     actor: ProbabilisticTensorDictSequential, tensordict: TensorDictBase
 ) -> Distribution:
-<<<<<<< HEAD
     """π(·|s) of every frame; it obeys an action mask if the data have one."""
     # On a copy, because the actor writes to its input.
-    if not isinstance(actor, SoftmaxActor):
-=======
-    """π(·|s) of every frame; it obeys an action mask wherever the data have one."""
-    # On a copy, since the actor writes to what it is given.
     if not is_softmax(actor):
->>>>>>> eng-rev
         return actor.get_dist(tensordict.copy())
     mask = tensordict.get("action_mask", None)
     if actor.masked and mask is None:
@@ -219,13 +213,8 @@ def score_sum(
 def has_linear_softmax(actor: ProbabilisticTensorDictSequential) -> bool:
     """Whether π = softmax(W[trial] observation), whose gradient has a closed form.
 
-<<<<<<< HEAD
     The policy declares it in ``linear_softmax``. False with forward hooks, which may change the
-    logits.
-=======
-    A policy declares it in ``linear_softmax``; forward hooks may change what it writes, and so may
-    another module in it.
->>>>>>> eng-rev
+    logits, and for a policy that holds another module.
     """
     if not is_softmax(actor) or actor.masked:
         return False
