@@ -35,7 +35,7 @@ class CountBonus(MixtureStrategy):
 
     Args:
         beta: β >= 0, a number, one number per trial, or a schedule of the iteration.
-        temperature: T >= 0, likewise; 0 gives the argmax of the sum.
+        temperature: T >= 0, in the same forms as ``beta``; 0 gives the argmax of the sum.
         bits: length of the hash, 1 to 20; there are 2^bits cells of n_actions counts per trial.
         options: the arguments of ``Strategy``.
 

@@ -64,7 +64,7 @@ class EpsilonSoftmax(MixtureStrategy):
 
     Args:
         epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
-        temperature: T > 0, likewise; a schedule may reach 0, the limit.
+        temperature: T > 0, in the same forms; a schedule may reach 0, the limit.
         options: the arguments of ``Strategy``.
 
     Raises:
@@ -106,7 +106,7 @@ class MaxBoltzmann(MixtureStrategy):
 
     Args:
         epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
-        temperature: T > 0, likewise; a schedule may reach 0, the limit.
+        temperature: T > 0, in the same forms; a schedule may reach 0, the limit.
         options: the arguments of ``Strategy``.
 
     Raises:

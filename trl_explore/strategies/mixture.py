@@ -219,9 +219,9 @@ class FullMixture(MixtureStrategy):
 
     Args:
         greedy: w_g >= 0, a number, one number per trial, or a schedule of the iteration.
-        softmax: w_s >= 0, likewise.
-        uniform: w_u >= 0, likewise.
-        temperature: T > 0, likewise; a schedule may reach 0, the limit.
+        softmax: w_s >= 0, in the same forms.
+        uniform: w_u >= 0, in the same forms.
+        temperature: T > 0, in the same forms; a schedule may reach 0, the limit.
         options: the arguments of ``Strategy``.
 
     Raises:

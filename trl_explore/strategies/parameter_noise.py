@@ -44,7 +44,7 @@ class ParameterNoise(MixtureStrategy):
 
     Args:
         sigma: σ >= 0, a number, one number per trial, or a schedule of the iteration.
-        temperature: T >= 0, likewise; 0 gives argmax.
+        temperature: T >= 0, in the same forms as ``sigma``; 0 gives argmax.
         threshold: > 0, the target for d; None: σ does not adapt.
         factor: > 1.
         options: the arguments of ``Strategy``.
@@ -72,9 +72,7 @@ class ParameterNoise(MixtureStrategy):
         self.factor = check_number("factor", factor, 1, low_open=True)
         self.scale: NDArray[np.float64] = np.ones(1)
         """The factor that adaptation applies to σ, for each trial [trials]."""
-        self._policy: tuple[
-            TensorDictModuleBase, ...
-        ] = ()  # a tuple, so that it is not a submodule
+        self._policy: tuple[TensorDictModuleBase, ...] = ()  # a tuple: not a submodule
         self._whom = (0, 0)  # seed, first trial
         self._forget(1)
 

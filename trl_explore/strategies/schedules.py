@@ -110,7 +110,7 @@ class _Walk(Schedule):
 class Linear(_Walk):
     """value(i) = initial + (final − initial) · min(i / iterations, 1).
 
-    Args and errors: ``initial`` and ``final`` must be finite, ``iterations`` >= 1.
+    Raises ValueError unless ``initial`` and ``final`` are finite and ``iterations`` >= 1.
 
     Example:
         >>> [Linear(1.0, 0.0, iterations=4)(i) for i in (0, 1, 4, 9)]
@@ -125,7 +125,8 @@ class Cosine(_Walk):
     """value(i) = final + (initial − final) · (1 + cos(π · min(i / iterations, 1))) / 2.
 
     Slow at both ends and fastest in the middle (Loshchilov & Hutter 2017, "SGDR", eq. 5, without
-    restarts). Args and errors: ``initial`` and ``final`` must be finite, ``iterations`` >= 1.
+    restarts). Raises ValueError unless ``initial`` and ``final`` are finite and
+    ``iterations`` >= 1.
 
     Example:
         >>> [round(Cosine(1.0, 0.0, iterations=3)(i), 6) for i in (0, 1, 2, 3, 9)]
