@@ -37,7 +37,7 @@ def description() -> list[tuple[str, str]]:
     python = f"{platform.python_implementation()} {platform.python_version()}"
     return [
         ("processor", f"{cpu_model()}, {platform.machine()}"),
-        ("cores", f"{cores()}; one is used unless two threads are stated"),
+        ("cores", f"{cores()}; one is used unless the table states two threads"),
         ("system", platform.system()),
         ("Python", python),
         ("packages", ", ".join(f"{name} {version(name)}" for name in PACKAGES)),

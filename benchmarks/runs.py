@@ -125,7 +125,7 @@ def together(runs: Iterable[Run]) -> Run:
 def fused(
     strategy: str, trials: int, threads: int = 1, first_trial: int = 0, max_iterations: int = CAP
 ) -> Run:
-    """All trials with the fused collector, in shards."""
+    """Train all trials with the fused collector, in shards, each by one thread."""
     sizes = partition(trials, threads)
     trainers = [
         build(strategy, size, first_trial=first, max_iterations=max_iterations)
@@ -141,7 +141,7 @@ def fused_alone(trials: int, max_iterations: int = CAP) -> Run:
 
 
 def lanes(trials: int, max_iterations: int = CAP) -> Run:
-    """All softmax trials at once, with the ``TorchRLCollector``."""
+    """Train all softmax trials at once with the ``TorchRLCollector``."""
     trainer = build("softmax", trials, lanes=True, max_iterations=max_iterations)
     return train(Shards([trainer]))
 

@@ -179,7 +179,8 @@ of a trained policy, and the strategy; collection only, {s.stock_frames:,} frame
 number of unfinished lanes in a step.
 - fused: `FusedCollector`, a whole run with its updates; 1 trial: {s.alone} trials in each round, \
 one after the other.
-- Dashed lines in the figure show what runs one trial after the other, whatever their number.
+- Dashed lines in the figure show cases that run one trial after the other, so that their speed \
+does not depend on the number of trials.
 
 ## The thesis: five strategies, {THESIS_TRIALS} trials each
 
@@ -192,7 +193,7 @@ median speed over {plain_trials} trials of each strategy, {s.alone} different tr
 
 {iteration(m)}
 
-Softmax, one thread, averaged over whole runs, in which fewer and fewer trials are active. \
+Softmax, one thread, averaged over whole runs, in which the number of active trials decreases. \
 *Optimiser* includes zeroing the gradients; *loss* includes the gradient; *check* tests for values \
 that are not finite; *rest* is the loop and the schedules.
 
