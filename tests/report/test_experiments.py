@@ -67,6 +67,6 @@ def test_another_environment_with_a_small_threshold(tmp_path, make_job):
     page, gaps = build_report([tmp_path], tmp_path / "out", resamples=49)
     html = page.read_text(encoding="utf-8")
     assert not gaps
-    assert "passed above 0.78 over 100 episodes" in html
+    assert "mean score above 0.78 over 100 episodes" in html
     assert "learned FrozenLake-v1" in html
     assert "CartPole" not in html

@@ -163,18 +163,18 @@ def test_learning_draws_mean_band_threshold_and_the_others(ax):
     assert ax.get_title(loc="left") == "softmax"
 
 
-def test_forest_fills_only_what_is_told_apart(ax):
+def test_forest_fills_only_significant_differences(ax):
     rows = [
         forest.Row("softmax", "random", Estimate(852.0, 830.0, 870.0, 0.95), True, SOFTMAX),
         forest.Row("softmax", "argmax", Estimate(10.0, -5.0, 25.0, 0.95), False, SOFTMAX),
     ]
     forest.plot_forest(ax, rows)
     marked = {line.get_label(): line for line in ax.lines}
-    assert marked["told apart"].get_markerfacecolor() == SOFTMAX.color
-    assert marked["open"].get_markerfacecolor() == PAPER
-    assert marked["open"].get_xdata() == [10.0]
+    assert marked["significant"].get_markerfacecolor() == SOFTMAX.color
+    assert marked["not significant"].get_markerfacecolor() == PAPER
+    assert marked["not significant"].get_xdata() == [10.0]
     assert any(list(line.get_xdata()) == [830.0, 870.0] for line in ax.lines)
-    assert ax.get_xlabel() == "the first needs fewer by (iterations)"
+    assert ax.get_xlabel() == "iterations that the first saves"
     assert [t.get_text() for t in ax.get_yticklabels()] == ["softmax vs. random",
                                                             "softmax vs. argmax"]  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Which layout configurations have, and how they are told apart in it."""
+"""The layout of configurations, and their labels and styles in it."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Who is fastest, which differences are real, what options do: in sentences."""
+"""The sentences on the fastest strategy, significant differences and options."""
 
 import re
 
@@ -102,9 +102,9 @@ def test_verdicts_are_counted():
         for claim, v in zip(CLAIMS, found, strict=False)
     ]
     assert verdicts(checked) == (
-        "Of the thesis's 5 statements 1 holds, 1 does not hold"
+        "Of the thesis's 5 statements, 1 holds, 1 does not hold"
         f" (“{CLAIMS[1].statement.rstrip('.')}”), 2 are open at this number of trials"
-        " (to settle the last of those that can be computed takes 1,200 of each configuration)"
+        " (settling all that have an estimate takes 1,200 trials per configuration)"
         " and 1 was not measured."
     )
 
@@ -137,8 +137,8 @@ def test_options_are_sorted_into_fewer_more_same_and_unclear(make, rng):
     (sentence,) = option_sentences(compare_pairs(pairs, rng, resamples=999), cells)
     assert sentence == (
         "Ratio against none: fewer iterations under a (100); more iterations under b (50);"
-        " the very same trials under c; no trial passes with either under e;"
-        " no difference beyond chance under d."
+        " identical trials under c; no trial passes with either under e;"
+        " no significant difference under d."
     )
 
 
@@ -154,9 +154,9 @@ def test_a_plane_in_words(make, rng):
     labels = {job.name: job.name.upper() for job in jobs}
     first, second = plane_sentences(jobs, table, labels)
     assert "Of 4 points, 2 pass in more than 80 % of trials and 1 in less than 20 %" in first
-    assert "120 iterations, was seen at FAST" in first
+    assert "FAST has the smallest mean, 120 iterations" in first
     assert second == (
-        "Against REF, the thesis’s softmax, 1 of 3 points need fewer iterations beyond chance"
-        " after Holm’s correction: FAST; 2 need more."
+        "Against REF, the thesis’s softmax, 1 of 3 points need significantly fewer iterations"
+        " after Holm’s correction: FAST; 2 need significantly more."
     )
     assert len(plane_sentences(jobs, [], labels)) == 1

@@ -1,13 +1,13 @@
 """The report: from finished jobs to figures, tables and one HTML page.
 
-``loading``         folders to jobs, and what is missing among them
-``groups``          which configurations stand side by side; ``labels`` what they are called
-``evidence``        everything computed, once; ``curves`` what was recorded along the runs
-``style``           colours, markers, lines, sizes: the one visual language
-``figures``         one file per figure: when it applies, how it is drawn, its caption
-``render``          a figure as SVG and PNG, always the same bytes
+``loading``         reads the jobs in folders; lists what is missing
+``groups``          which configurations are compared; ``labels`` their names for readers
+``evidence``        every result, computed once; ``curves`` what was recorded during training
+``style``           colours, markers, lines and sizes of all figures
+``figures``         one file per figure: condition, drawing, caption
+``render``          a figure as reproducible SVG and PNG
 ``tables``          a table as CSV, LaTeX, Markdown
-``results_tables``  the tables of numbers; ``claims`` those of verdicts
+``results_tables``  the tables of numbers; ``claims`` the tables of verdicts
 ``page``            the HTML page, from ``page.html``
-``build``           all of it into a folder
+``build``           writes everything to a folder
 """

@@ -1,4 +1,4 @@
-"""From folders of results to a folder with the report."""
+"""Build the report from folders of results."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def build_report(
 
     Args:
         folders: job or sweep folders, any number.
-        out: where the report goes; ``figures/`` and ``tables/`` of an earlier one are replaced.
-        resamples: of every bootstrap and permutation test.
+        out: folder of the report; ``figures/`` and ``tables/`` of an earlier report are replaced.
+        resamples: number of resamples of every bootstrap and permutation test.
 
     Returns:
-        The page, and what is missing from it.
+        Path of the page, and what is missing from the report.
 
     Raises:
         ResultsError: there is nothing to report; the message is one line.
@@ -70,13 +70,13 @@ def build_report(
 
 
 def _clear(out: Path) -> None:
-    """Make room for a report; remove the figures and tables of an earlier one, and only those.
+    """Prepare the folder; remove only the figures and tables of an earlier report.
 
-    Links go, what they point to stays: a folder of results, which may come from elsewhere, must
-    not decide where a report in it is written.
+    Links are removed without touching their targets: a folder of results from someone else must
+    not redirect the files of a report.
     """
     if out.is_symlink():
-        raise ResultsError(f"{out} is a link; --out says where the report goes")
+        raise ResultsError(f"{out} is a link; give a folder with --out")
     for name in (PAGE, FIGURES, TABLES):
         if (out / name).is_symlink():
             (out / name).unlink()
@@ -103,6 +103,6 @@ def _write(path: Path, text: str) -> None:
 
 
 def _fresh(path: Path) -> Path:
-    """A file that is not there yet: not the target of a link that was."""
+    """Remove an existing file or link, so that writing cannot follow a link."""
     path.unlink(missing_ok=True)
     return path

@@ -1,4 +1,4 @@
-"""The tables of verdicts: on the thesis's statements, and on them again without the bias."""
+"""The tables of verdicts: the thesis's statements, without and with correction of the bias."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ VERDICTS: Mapping[str, tuple[str, str]] = {
     "open": ("open", "open"),
     "not measured": ("not measured", "not-measured"),
 }
-"""Verdict, or outcome of a second look -> its plural, and its class of the style sheet."""
+"""Verdict, or outcome of the re-examination -> its plural and its CSS class."""
 
 
 def tally(verdicts: Iterable[str]) -> list[tuple[str, str]]:
-    """Class of the style sheet and text, ``3 hold``, of every verdict that occurs.
+    """CSS class and text (``3 hold``) of every verdict that occurs.
 
     >>> tally(["open", "holds", "holds"])
     [('holds', '2 hold'), ('open', '1 open')]
@@ -51,9 +51,9 @@ def claims_table(
 
     Args:
         checked: statements with their findings.
-        id: of the table.
-        title: of the table.
-        said: title of the column of statements.
+        id: id of the table.
+        title: title of the table.
+        said: title of the statement column.
 
     """
     records = [
@@ -80,7 +80,7 @@ def claims_table(
 
 
 def why_tables(evidence: Evidence) -> list[Table]:
-    """The tables of the section on the bias; none without corrections."""
+    """The tables of the section on the bias; empty if no corrections were run."""
     if not evidence.reexamined:
         return []
     return [
@@ -93,7 +93,7 @@ def why_tables(evidence: Evidence) -> list[Table]:
 
 
 def conclusions_table(reexamined: Sequence[Reexamined]) -> Table:
-    """One row per statement: what becomes of it, and both verdicts with their evidence."""
+    """One row per statement: the outcome, and both verdicts with their evidence."""
     records = [
         {
             "id": r.claim.id,
@@ -158,7 +158,7 @@ def crossed_table(part: GroupEvidence) -> Table:
 
 
 def distance(evidence: Evidence) -> str:
-    """In words: the smallest distance of μ from π at which most uncorrected trials failed."""
+    """A text on the smallest distance from μ to π at which most uncorrected trials failed."""
     found = []
     for part in evidence.groups:
         layout, distances = part.group.crossed, part.traces.diagnostics.get("kl", {})
@@ -174,8 +174,8 @@ def distance(evidence: Evidence) -> str:
                 ]
                 found.append((distances[name].level, layout.rows[row], summary, corrected))
     text = (
-        "The distance was recorded in every iteration. What counts is not its size alone: a bias"
-        " pushes every update the same way and adds up, while noise averages out."
+        "The distance was recorded in every iteration. Even a small distance can matter: a bias has"
+        " the same direction in every update and accumulates, while noise averages out."
     )
     if not found:
         return text

@@ -1,4 +1,4 @@
-"""What was recorded along the runs, as curves: scores, diagnostics, evaluations."""
+"""Curves of what was recorded during training: scores, diagnostics, evaluations."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from trl_explore.report.loading import Gap, Job, gap
 from trl_explore.training.columns import DIAGNOSTICS
 
 POINTS = 240
-"""Most iterations at which a curve is drawn."""
+"""Most points of a curve."""
 FEWER_POINTS = 60
-"""The same for diagnostics, of which there are many figures."""
+"""Most points of a diagnostic's curve, since there are many such figures."""
 SMOOTH = 20
-"""Iterations that a diagnostic is averaged over."""
+"""Number of iterations over which a diagnostic is averaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +41,12 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Traces:
-    """The curves of a group, by the names of its configurations, in their order.
+    """The curves of a group by configuration name, in the order of the group.
 
     Attributes:
-        learning: running score, mean over trials, with the middle half of them.
-        diagnostics: quantity -> its curves, median over trials with the middle half of them;
-            quantities that were not recorded are absent.
+        learning: running score, mean over trials with the middle half.
+        diagnostics: quantity -> its curves, median over trials with the middle half; only
+            quantities that were recorded.
         evaluations: score in training and score of the greedy policy, means over trials.
         gaps: what could not be read.
 
@@ -65,17 +65,17 @@ def running_means(
     window: int,
     at: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Mean of the last ``window`` rows of every trial, at some iterations.
+    """Mean of the last ``window`` rows of every trial, at given iterations.
 
-    A trial that has stopped carries its last value forward; nan is left out, and is the result
-    where there is nothing else.
+    Stopped trials keep their last mean. NaN values are ignored; the mean is NaN if there are no
+    others.
 
     Args:
-        trial: of each row [n].
-        iteration: of each row [n], from 1.
-        values: [n].
-        window: number of rows; before so many exist, the mean is over those there are.
-        at: iterations [k], from 1; before the first row of a trial its first value counts.
+        trial: trial of each row [n].
+        iteration: iteration of each row [n], from 1.
+        values: value of each row [n].
+        window: number of rows; the mean is over fewer rows if fewer exist.
+        at: iterations [k], from 1; before a trial's first row, its first value counts.
 
     Returns:
         [k, n_trials], trials in ascending order.
@@ -102,7 +102,7 @@ def running_means(
 
 
 def read_traces(group: Group) -> Traces:
-    """Everything that was recorded along the runs of a group; files are read once."""
+    """Read everything that was recorded during the training of a group, each file once."""
     traces = Traces()
     end = max(int(c.iterations.max()) for c in group.configurations)
     for c in group.configurations:
@@ -126,11 +126,11 @@ def read_traces(group: Group) -> Traces:
 
 
 class _Parts:
-    """What the jobs of one configuration recorded, job by job: tables [k, n_trials].
+    """The records of one configuration's jobs: one table [k, n_trials] per job.
 
     Args:
         end: last iteration of the group.
-        window: episodes that a running score averages over.
+        window: number of episodes of the running score.
 
     """
 
@@ -144,7 +144,7 @@ class _Parts:
         self.gaps: list[Gap] = []
 
     def read(self, job: Job) -> None:
-        """Add a job."""
+        """Add the records of a job."""
         try:
             episodes = read_episodes(job.folder)
         except ResultsError as error:
@@ -176,7 +176,7 @@ class _Parts:
             )
 
     def learning(self) -> Curve | None:
-        """The learning curve, with a band where every job recorded its episodes."""
+        """The learning curve, with a band if every job recorded its episodes."""
         x = self.at.astype(np.float64)
         if self.scores and not self.means:
             table = np.concatenate(self.scores, axis=1)
@@ -190,7 +190,7 @@ class _Parts:
 
 
 def _middle(at: NDArray[np.int64], tables: Sequence[NDArray[np.float64]]) -> Curve | None:
-    """Median and middle half over the trials that have a value; None where none has."""
+    """Median and middle half over the trials that have a value; None if none has."""
     table = np.concatenate(list(tables), axis=1)
     known = np.isfinite(table).any(axis=1)
     if not known.any():
@@ -214,7 +214,7 @@ def _grid(end: int, points: int) -> NDArray[np.int64]:
 
 
 def _mean(job: Job, at: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """The mean score of a job without ``episodes.csv``; None where that was not recorded."""
+    """The mean score of a job without ``episodes.csv``; None if it was not recorded."""
     try:
         curve = read_curves(job.folder)["score"].dropna().to_numpy(np.float64)
     except (ValueError, KeyError, OSError):

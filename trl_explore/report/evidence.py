@@ -1,4 +1,4 @@
-"""Everything a report says, computed once: summaries, comparisons, verdicts, the answer."""
+"""All results of a report, computed once: summaries, comparisons, verdicts, the answer."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from trl_explore.statistics.summary import Summary, summarise_all
 from trl_explore.thesis import Checked, Study, check_claims, why
 
 SEED = 20170101
-"""Of every bootstrap and permutation of a report, so that it is the same when made twice."""
+"""Seed of all resampling, so that reports are reproducible."""
 FEWER_RESAMPLES, MANY_DRAWS = 1999, 3_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class GroupEvidence:
-    """What was computed for one group; ``sentences``: who is fastest, which differences are real.
+    """The results for one group; ``sentences`` state the fastest and the significant differences.
 
-    ``comparisons`` is empty, with the reason in ``incomparable``, where nothing can be compared;
-    where configurations are crossed or a plane, it holds the planned pairs only.
+    If nothing can be compared, ``comparisons`` is empty and ``incomparable`` gives the reason. For
+    a crossed group or a plane, it holds the planned pairs only.
     """
 
     group: Group
@@ -50,7 +50,7 @@ class GroupEvidence:
 
     @property
     def strict_level(self) -> float:
-        """Level of one test such that all comparisons together keep theirs (Bonferroni)."""
+        """Level of one test after Bonferroni's correction for all comparisons."""
         return 1.0 - (1.0 - LEVEL) / max(1, len(self.comparisons))
 
     @property
@@ -65,9 +65,9 @@ class GroupEvidence:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the report shows; ``answer`` is a few sentences, the main group comes first.
+    """All results of the report; the main group comes first, ``answer`` is a few sentences.
 
-    ``reexamined`` and ``causes`` are empty where no corrections were run.
+    ``reexamined`` and ``causes`` are empty if no corrections were run.
     """
 
     groups: list[GroupEvidence]
@@ -81,12 +81,12 @@ class Evidence:
 
     @property
     def timed(self) -> int:
-        """How many trials were timed by themselves."""
+        """Number of trials that were timed alone."""
         return sum(len(e.group.timed(c)[1]) for e in self.groups for c in e.group.configurations)
 
 
 def gather(loaded: Loaded, *, resamples: int = RESAMPLES) -> Evidence:
-    """Compute everything; each part has a random stream of its own, named after it."""
+    """Compute everything; each part has its own random stream, derived from its name."""
     groups = group_jobs(loaded.jobs)
     labels = ["claims", "why", "why: uncorrected", "why: corrected", *(g.id for g in groups)]
     rngs = streams(np.random.default_rng(SEED), labels)
@@ -160,7 +160,7 @@ def _group_evidence(
 
 
 def _planned(group: Group) -> list[tuple[Outcomes, Outcomes]] | None:
-    """The pairs that the layout of a group asks about; None: all pairs."""
+    """The planned pairs of a group with a layout; None: all pairs."""
     layout = group.crossed or group.plane
     if layout is None:
         return None
@@ -169,7 +169,7 @@ def _planned(group: Group) -> list[tuple[Outcomes, Outcomes]] | None:
 
 
 def _too_few(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
-    """A warning where no difference could be told apart, however large it is; else nothing."""
+    """A warning if there are too few trials for any significant difference; otherwise nothing."""
     paired = [c for c in comparisons if c.design == "paired"]
     if not paired or len(paired) < len(comparisons):
         return ()
@@ -179,19 +179,19 @@ def _too_few(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
         return ()
     corrected = f", corrected for {tests} comparisons," if tests > 1 else ""
     return (
-        f"That says nothing of their size: {n} trials are too few to tell any two configurations"
-        f" apart. The test{corrected} needs at least {fewest} trials of each, even of differences"
-        " that are the same in every trial.",
+        f"There may still be large differences: {n} trials are too few for any significant result."
+        f" The test{corrected} needs at least {fewest} trials of each configuration, even if the"
+        " difference is the same in every trial.",
     )
 
 
 def _cut_short(group: Group) -> tuple[str, ...]:
-    """A warning where the cap ends every trial before its first full window; else nothing."""
+    """A warning if the cap ends every trial before its first full window; otherwise nothing."""
     if not all(c.cut_short for c in group.configurations):
         return ()
     return (
-        f"No trial could pass: the cap of {group.cap:,} iterations ends it before it has the"
-        f" {group.window:,} episodes over which its score is taken.",
+        f"No trial could pass: the cap of {group.cap:,} iterations ends it before it has played the"
+        f" {group.window:,} episodes that the score is averaged over.",
     )
 
 

@@ -1,7 +1,7 @@
-"""Which configurations stand side by side, and how they are laid out.
+"""Groups of configurations that are compared, and their layouts.
 
-A group is one experiment, stopped by one rule. Its configurations may form a layout: rows crossed
-with options, or a plane of two numbers.
+A group is one experiment with one stopping rule. Its configurations may form a layout: rows crossed
+with options, or a plane of two parameters.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import configuration_key, deduplicate, pool, select
 
 THESIS: Mapping[str, float] = {"epsilon": 0.0, "temperature": 1.0}
-"""The thesis's softmax as a point of the family that mixes softmax with chance."""
+"""The thesis's softmax as a point of the mixtures of softmax and random actions."""
 PLANE_FROM = 3
-"""Fewest values of either parameter of a plane."""
+"""Fewest values of each parameter of a plane."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Crossed:
     """Rows (strategies, temperatures) crossed with the options of one group.
 
     Attributes:
-        of: the group, ``correction``.
-        rows: what readers call the rows.
-        options: what readers call the options; the first is the one the others are held against.
+        of: the configuration group, for example ``correction``.
+        rows: labels of the rows.
+        options: labels of the options; the others are compared with the first.
         cells: (row, option) -> name of the configuration; some may be missing.
 
     """
@@ -58,7 +58,7 @@ class Crossed:
     cells: Mapping[tuple[int, int], str]
 
     def pairs(self) -> list[tuple[str, str]]:
-        """(first option, other option) of every row, as names of configurations."""
+        """Names of configurations: (first option, other option) of every row."""
         return [
             (self.cells[row, 0], name)
             for (row, option), name in sorted(self.cells.items())
@@ -68,15 +68,15 @@ class Crossed:
 
 @dataclass(frozen=True)
 class Plane:
-    """Values of two numbers, all of one strategy.
+    """Two parameters of one strategy, both varied.
 
     Attributes:
-        x: what readers call the first.
-        y: what readers call the second.
-        xs: its values, ascending.
-        ys: those of the second.
-        cells: (place in xs, place in ys) -> name of the configuration; some may be missing.
-        reference: the configuration of the thesis among them, if there is one.
+        x: label of the first parameter.
+        y: label of the second parameter.
+        xs: values of the first, ascending.
+        ys: values of the second, ascending.
+        cells: (index in xs, index in ys) -> name of the configuration; some may be missing.
+        reference: the thesis's configuration, if it is one of the cells.
 
     """
 
@@ -88,7 +88,7 @@ class Plane:
     reference: str | None
 
     def pairs(self) -> list[tuple[str, str]]:
-        """(reference, other) for every other point."""
+        """Names of configurations: (reference, other) for every other point."""
         if self.reference is None:
             return []
         others = (name for _, name in sorted(self.cells.items()) if name != self.reference)
@@ -102,18 +102,18 @@ class Group:
     Attributes:
         id: unique, usable in file names.
         title: heading in the report.
-        experiment: the sweep.
-        cap: iterations.
-        threshold: score above which a trial has passed.
-        window: episodes that the final score averages over.
-        environment: its id.
-        configurations: in the order of the figures; each (seed, trial) once, seeds pooled.
-        labels: name of a configuration -> what readers call it.
-        styles: name of a configuration -> how it looks.
-        jobs: name of a configuration -> the jobs that its trials come from.
-        parameter: the one parameter in which the configurations differ, if there is one.
-        crossed: their layout, where rows are crossed with the options of a group.
-        plane: their layout, where they differ in two numbers.
+        experiment: name of the experiment.
+        cap: maximum number of iterations.
+        threshold: score above which a trial passes.
+        window: number of episodes that the final score averages over.
+        environment: id of the environment.
+        configurations: in the order of the figures; seeds pooled, each (seed, trial) once.
+        labels: name of a configuration -> label.
+        styles: name of a configuration -> style.
+        jobs: name of a configuration -> its jobs.
+        parameter: label of the only parameter in which the configurations differ, or None.
+        crossed: layout of rows crossed with options, or None.
+        plane: layout of two parameters, or None.
 
     """
 
@@ -134,15 +134,15 @@ class Group:
 
     @property
     def is_grid(self) -> bool:
-        """Whether it is a grid over one parameter, as the thesis has two."""
+        """Whether the experiment is a grid over one parameter."""
         return experiment(self.experiment).grid
 
     def short(self, name: str) -> str:
-        """The label of a configuration beside an axis that already names the parameter."""
+        """The label of a configuration without the parameter's name, which the axis shows."""
         return self.labels[name].removeprefix(f"{self.parameter} = ")
 
     def timed(self, c: Outcomes) -> tuple[Outcomes, NDArray[np.float64]]:
-        """The trials of a configuration that were timed by themselves, and their seconds [n]."""
+        """The trials of a configuration that were timed alone, and their seconds [n]."""
         timing = next((job.timing for job in self.jobs[c.name] if job.timing is not None), None)
         first = {int(t): i for i, t in reversed(list(enumerate(c.trial)))}
         pairs = zip(timing.trial, timing.seconds, strict=True) if timing is not None else ()
@@ -152,7 +152,7 @@ class Group:
 
 
 def group_jobs(jobs: Sequence[Job]) -> list[Group]:
-    """Split jobs into groups: the thesis's experiment first, its grids last."""
+    """Split jobs into groups by experiment and stopping rule, in the order of the report."""
     by_rule: dict[tuple[str, int, float, int, str, str], list[Job]] = {}
     for job in jobs:
         o = job.outcomes
@@ -179,7 +179,7 @@ def group_jobs(jobs: Sequence[Job]) -> list[Group]:
 
 
 def crossed(configurations: Sequence[Outcomes]) -> Crossed | None:
-    """The layout of configurations that differ in the option of one group and in something else."""
+    """The layout of configurations that differ in the options of one group and in other factors."""
     parts = label_parts(configurations)
     groups = {key for words in parts.values() for key in words if key in OPTIONS}
     if len(groups) != 1:
@@ -202,7 +202,7 @@ def crossed(configurations: Sequence[Outcomes]) -> Crossed | None:
 
 
 def plane(configurations: Sequence[Outcomes]) -> Plane | None:
-    """The layout of configurations that differ in two numbers of their strategy."""
+    """The layout of configurations that differ in two numeric parameters of their strategy."""
     keys = swept_parameters(configurations)
     if len(keys) != 2:
         return None
@@ -223,7 +223,7 @@ def plane(configurations: Sequence[Outcomes]) -> Plane | None:
 
 
 def _id(experiment: str) -> str:
-    """The name of an experiment as part of a file's name: no path, and of letters that all have."""
+    """The name of an experiment as a safe part of file names: ASCII, without path separators."""
     kept = (ch if (ch.isascii() and ch.isalnum()) or ch in "-_" else "-" for ch in experiment)
     return "".join(kept)[:60] or "experiment"
 

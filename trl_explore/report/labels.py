@@ -1,4 +1,4 @@
-"""What a configuration is called beside others: its strategy, and what differs between them."""
+"""Labels of configurations: the strategy, and what differs between them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from trl_explore.statistics.pairing import AGENT_GROUPS, NO_AGENT
 
 
 def configuration_labels(configurations: Sequence[Outcomes]) -> dict[str, str]:
-    """Map the name of every configuration to a short label that tells it from the others.
+    """Map the name of every configuration to a short, unique label.
 
-    The strategy, where there are several, and what differs between configurations of the same
-    strategy: ``ε-greedy``, ``softmax, T = 0.5``, ``softmax, per-step ratio``; of one strategy
-    alone only ``T = 0.5``. Configurations that this would not tell apart keep their names.
+    A label has the strategy, if there are several, and what differs between configurations of the
+    same strategy: ``ε-greedy``, ``softmax, T = 0.5``, ``softmax, per-step ratio``. With a single
+    strategy it is only ``T = 0.5``. If such labels are not unique or are too long, all
+    configurations keep their names.
     """
     parts = label_parts(configurations)
     labels = {
@@ -27,10 +28,10 @@ def configuration_labels(configurations: Sequence[Outcomes]) -> dict[str, str]:
 
 
 def label_parts(configurations: Sequence[Outcomes]) -> dict[str, dict[str, str]]:
-    """Map the name of every configuration to what its label is made of: factor -> words.
+    """Map the name of every configuration to the parts of its label: factor -> words.
 
-    The factors are ``strategy`` (where there are several), the keys of parameters, and groups of
-    the configuration (``correction``).
+    The factors are ``strategy`` (if there are several), keys of parameters, and configuration
+    groups (``correction``).
     """
     several = len({c.strategy for c in configurations}) > 1
     values = {c.name: _flat(c) for c in configurations}
@@ -59,9 +60,9 @@ def _words(key: str, flat: Mapping[str, Any]) -> str:
 
 
 def swept_parameters(configurations: Sequence[Outcomes]) -> list[str]:
-    """The parameters in which configurations of one strategy differ, as keys.
+    """Keys of the parameters in which configurations of one strategy differ.
 
-    Empty where there are several strategies, or fewer than two configurations.
+    Empty if there are several strategies or fewer than two configurations.
     """
     if len({c.strategy for c in configurations}) != 1 or len(configurations) < 2:
         return []
@@ -69,15 +70,15 @@ def swept_parameters(configurations: Sequence[Outcomes]) -> list[str]:
 
 
 def swept_parameter(configurations: Sequence[Outcomes]) -> str | None:
-    """The one parameter in which configurations of one strategy differ, as readers call it."""
+    """Label of the only parameter in which configurations of one strategy differ, or None."""
     keys = swept_parameters(configurations)
     return symbol(keys[0]) if len(keys) == 1 else None
 
 
 def natural_order(configurations: Sequence[Outcomes]) -> list[Outcomes]:
-    """Strategies in the order of the thesis, others by name; numbers of a grid ascending.
+    """Sort configurations: strategies as in the thesis, others by name; numbers ascending.
 
-    Options of a group come last, that of the thesis first among them.
+    Options of a group are sorted last, with the thesis's option first.
     """
     known = list(STRATEGIES)
 
@@ -105,9 +106,9 @@ def _rank(key: str, value: Any) -> float:
 def _varying(flats: Sequence[Mapping[str, Any]]) -> list[str]:
     """The keys in which configurations differ.
 
-    The arguments of a class differ only among configurations that have this class. Of keys that
-    vary together, as where the weight of the loss follows the learning rate, only one is named,
-    and not that of the loss.
+    Arguments of a class are compared only among configurations with this class. Of keys that vary
+    together (the weight of the loss and the learning rate, for example), only one is returned,
+    preferably not that of the loss.
     """
     keys = dict.fromkeys(k for flat in flats for k in flat)
     patterns: dict[tuple[int, ...], str] = {}

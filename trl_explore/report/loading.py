@@ -1,4 +1,4 @@
-"""From folders to finished jobs, and to a list of what is missing among them."""
+"""Read finished jobs from folders, and list what is missing."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Timing:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A finished job and where it came from; ``timing`` where its trials were timed singly."""
+    """A finished job and its folder; ``timing`` if its trials were timed one at a time."""
 
     folder: Path
     outcomes: Outcomes
@@ -38,7 +38,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Gap:
-    """Something that should be in the report and is not: its name, and why."""
+    """Something that is missing from the report, and why."""
 
     what: str
     why: str
@@ -46,17 +46,17 @@ class Gap:
 
 @dataclass(frozen=True)
 class Loaded:
-    """What a set of folders holds."""
+    """The jobs in a set of folders, and what is missing."""
 
     jobs: list[Job]
     gaps: list[Gap]
 
 
 def load(folders: Sequence[Path]) -> Loaded:
-    """Read every finished job at or below the folders; what cannot be read becomes a gap.
+    """Read every finished job at or below the folders; unreadable jobs become gaps.
 
     Raises:
-        ResultsError: there is no job that can be read; the message is one line.
+        ResultsError: no job can be read; the message is one line.
 
     """
     for folder in folders:
@@ -88,7 +88,7 @@ def load(folders: Sequence[Path]) -> Loaded:
 
 
 def gap(folder: Path, error: Exception) -> Gap:
-    """What an error says of a job, without the place of the sweep on this machine."""
+    """The gap of a job that raised an error; the message without the path to the sweep."""
     return Gap(_short(folder), str(error).replace(f"{folder.parent.parent}/", ""))
 
 
@@ -104,7 +104,7 @@ def _short(folder: Path) -> str:
 
 
 def _checked(outcomes: Outcomes, folder: Path) -> Outcomes:
-    """Refuse what the analysis could not use, or would get wrong."""
+    """Raise :class:`ResultsError` for outcomes that the analysis cannot use."""
     where = folder / results.TRIALS
     if not len(outcomes):
         raise ResultsError(f"{where}: no trials")
@@ -117,7 +117,7 @@ def _checked(outcomes: Outcomes, folder: Path) -> Outcomes:
 
 
 def _command(folder: Path) -> tuple[str, ...]:
-    """What was typed after ``train.py``, as Hydra recorded it; empty where it did not."""
+    """The overrides of the job as Hydra recorded them; empty if they are missing."""
     try:
         lines = (folder / ".hydra" / "overrides.yaml").read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):

@@ -1,7 +1,7 @@
-"""The page: one HTML file that loads nothing, and reads well without JavaScript.
+"""The page: one self-contained HTML file that also works without JavaScript.
 
-``page.html`` has its text, ``parts.html`` its figures and tables. Whatever comes from results is
-escaped by the templates; only drawings, style sheet and script are inserted as they are.
+``page.html`` holds the text, ``parts.html`` the macros for figures and tables. The templates escape
+all text from results; only drawings, style sheet and script are inserted unescaped.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ PACKAGES = ("numpy", "scipy", "matplotlib")
 
 @dataclass(frozen=True)
 class Content:
-    """What a page shows: figures and tables by the id of their group."""
+    """The content of a page; figures and tables by the id of their group."""
 
     evidence: Evidence
     figures: Mapping[str, Sequence[Drawn]]
@@ -44,17 +44,17 @@ class Content:
 
 @dataclass(frozen=True)
 class Section:
-    """What the template writes about one group.
+    """The section of one group.
 
     Attributes:
         group: the group.
-        facts: one line on what it holds.
+        facts: one line that describes the group.
         notes: sentences.
-        absent: what is missing from it.
-        above: figures that stand in an earlier section.
-        figures: those of this section.
-        recorded: those of what was recorded along the runs.
-        tables: its tables.
+        absent: what is missing.
+        above: figures that an earlier section shows.
+        figures: figures of this section.
+        recorded: figures of what was recorded during training.
+        tables: tables of this section.
 
     """
 
@@ -69,7 +69,7 @@ class Section:
 
 
 def environment() -> Environment:
-    """The templates of the page; they escape every text."""
+    """The template environment of the page, with escaping of all text."""
     found = Environment(
         loader=PackageLoader("trl_explore.report", "."),
         autoescape=True,
@@ -83,7 +83,7 @@ def environment() -> Environment:
 
 
 def page(content: Content) -> str:
-    """The whole file."""
+    """The HTML page as text."""
     evidence = content.evidence
     parts, main = evidence.groups, evidence.groups[0].group
     figures = [figure for group in content.figures.values() for figure in group]
@@ -130,13 +130,13 @@ def page(content: Content) -> str:
 
 
 def episodes_per_iteration(outcomes: Iterable[Outcomes]) -> str:
-    """Of how many episodes an iteration consists, in words."""
+    """The number of episodes per iteration, in words."""
     counts = sorted({int(o.config.get("episodes_per_update", 1)) for o in outcomes})
     return " or ".join("one episode" if k == 1 else f"{k} episodes" for k in counts)
 
 
 def group_facts(group: Group) -> str:
-    """One line on what a group holds."""
+    """One line that describes a group."""
     counts = sorted({len(c) for c in group.configurations})
     trials = f"{counts[0]:,}" if len(counts) == 1 else f"{counts[0]:,} to {counts[-1]:,}"
     n = len(group.configurations)
@@ -144,8 +144,8 @@ def group_facts(group: Group) -> str:
     judged_by = group.configurations[0].judged_by
     whose = "" if judged_by == "training" else f" of {judged_by}"
     return (
-        f"{what} × {trials} trials of {group.environment}, passed above"
-        f" {group.threshold:g} over {group.window} episodes{whose}, cap {group.cap:,} iterations."
+        f"{what} × {trials} trials of {group.environment}; a trial passes with a mean score above"
+        f" {group.threshold:g} over {group.window} episodes{whose}; cap {group.cap:,} iterations."
     )
 
 
@@ -154,14 +154,14 @@ def _file(name: str) -> str:
 
 
 def _strategies(outcomes: Sequence[Outcomes]) -> list[tuple[str, str]]:
-    """Label of every strategy, and what it does where that is known."""
+    """Label of every strategy, and its description if there is one."""
     names = list(dict.fromkeys(o.strategy for o in outcomes))
     ordered = [n for n in STRATEGIES if n in names] + [n for n in names if n not in STRATEGIES]
     return [(strategy_label(n), STRATEGIES[n].does if n in STRATEGIES else "") for n in ordered]
 
 
 def _why(content: Content, hero: Drawn | None) -> dict[str, Any] | None:
-    """What the section on the bias shows; None without corrections."""
+    """The section on the bias; None if no corrections were run."""
     if not content.why:
         return None
     evidence = content.evidence
@@ -186,13 +186,13 @@ def _section(part: GroupEvidence, content: Content, hero: Drawn | None) -> Secti
     drawn = content.figures[group.id]
     above = [f for f in drawn if f is hero or (content.why and part.why and f.kind.why)]
     here = [f for f in drawn if f not in above]
-    main = part is content.evidence.groups[0]  # whose sentences are the answer
+    main = part is content.evidence.groups[0]  # its sentences are in the answer
     notes = [] if main else list(part.sentences)
     if part.incomparable:
         notes.append(f"No comparison: {part.incomparable}.")
     absent = []
     if not any(f.kind.name == "seconds" for f in drawn):
-        absent.append("seconds of single trials (none was timed by itself)")
+        absent.append("seconds of single trials (none was timed alone)")
     if not part.traces.learning and not group.is_grid and group.plane is None:
         absent.append("learning curves (not recorded)")
     return Section(

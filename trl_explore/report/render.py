@@ -1,4 +1,4 @@
-"""A figure as SVG, as PNG, and inside the page: the same bytes each time it is drawn."""
+"""A figure as SVG, as PNG and inside the page, reproducible byte for byte."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from trl_explore.report.style import MAP, MAP_INKS, dark_variant
 
 PNG_DPI = 200
 FIXED = frozenset((*MAP, *MAP_INKS))
-"""Colours that stay as they are: those of a map, whose ink is chosen for its cells."""
+"""Colours of a map, which are the same in both themes: the text colour fits its cell."""
 _COLOR = re.compile(r"#[0-9a-f]{6}\b")
 _PATH, _LONG = re.compile(r'\bd="[^"]*"'), re.compile(r"-?\d+\.\d{3,}")
 
 
 def to_svg(figure: Figure) -> str:
-    """The figure as SVG without date, with ids that depend on nothing but the drawing."""
+    """The figure as SVG, without a date and with ids that depend only on the drawing."""
     buffer = io.BytesIO()
     settings = {"svg.hashsalt": "trl_explore", "svg.fonttype": "path", "text.parse_math": False}
     with mpl.rc_context(settings), _any_glyph():  # type: ignore[arg-type]
@@ -46,11 +46,11 @@ def to_png(figure: Figure) -> bytes:
 
 
 def inline_svg(svg: str, name: str, alt: str) -> str:
-    """The drawing as an element of a page, with an alternative text.
+    """The drawing as an element of the page, with alternative text.
 
     Args:
         svg: from :func:`to_svg`.
-        name: unique within the page; put before every id.
+        name: prefix of every id, unique within the page.
         alt: what the figure shows, plain text.
 
     """
@@ -67,7 +67,7 @@ def inline_svg(svg: str, name: str, alt: str) -> str:
 
 
 def theme_css(svgs: Iterable[str]) -> str:
-    """The variables of all colours that the drawings use, for light and for dark screens."""
+    """CSS variables of all colours in the drawings, for light and dark screens."""
     colors = sorted({c for svg in svgs for c in _COLOR.findall(svg)} - FIXED)
     light = "".join(f"--c{c[1:]}:{c};" for c in colors)
     dark = "".join(f"--c{c[1:]}:{dark_variant(c)};" for c in colors)
@@ -76,14 +76,14 @@ def theme_css(svgs: Iterable[str]) -> str:
 
 @contextmanager
 def _any_glyph() -> Iterator[None]:
-    """Draw a box, without a word, for a character of a name that the font does not have."""
+    """Suppress the warning about characters that the font lacks; they are drawn as boxes."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
 
 
 def _rounded(path: re.Match[str]) -> str:
-    """The same path in hundredths of a point, which nobody sees and halves the file."""
+    """The path rounded to hundredths of a point: invisible, and halves the file size."""
     return _LONG.sub(lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), path[0])
 
 

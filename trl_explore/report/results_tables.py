@@ -1,4 +1,4 @@
-"""The tables of numbers: configurations, pairs of them, and the jobs they come from."""
+"""The tables of numbers: configurations, pairs of configurations, jobs."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def summary_table(evidence: GroupEvidence) -> Table:
 
 
 def comparison_table(evidence: GroupEvidence) -> Table:
-    """One row per pair, with the number of trials that would find its difference."""
+    """One row per pair, with the number of trials that would detect the difference."""
     labels, level = evidence.group.labels, evidence.strict_level
     short = {label: evidence.group.short(name) for name, label in labels.items()}
     by = f" {evidence.group.parameter}" if evidence.group.parameter else ""
@@ -74,12 +74,12 @@ def comparison_table(evidence: GroupEvidence) -> Table:
         Column("trials_needed", "trials for 80 % power", _needed, True),
     ]  # fmt: skip
     planned = evidence.group.crossed is not None or evidence.group.plane is not None
-    title = f"{evidence.group.title}: {'the pairs asked about' if planned else 'all pairs'}"
+    title = f"{evidence.group.title}: {'planned pairs' if planned else 'all pairs'}"
     return Table(f"{evidence.group.id}-pairs", title, columns, records, main=True)
 
 
 def jobs_table(evidence: Evidence) -> Table:
-    """One row per job, with what it needs to be made again."""
+    """One row per job, with the command that repeats it."""
     records = []
     for part in evidence.groups:
         for c in part.group.configurations:
@@ -120,7 +120,7 @@ def jobs_table(evidence: Evidence) -> Table:
 
 
 def gaps_table(evidence: Evidence) -> Table:
-    """What should have been read and could not be."""
+    """What is missing from the report, with the reason."""
     records = [{"what": gap.what, "why": gap.why} for gap in evidence.gaps]
     columns = [
         Column("what", "missing", lambda r: r["what"]),
@@ -130,7 +130,7 @@ def gaps_table(evidence: Evidence) -> Table:
 
 
 def _shown(command: Sequence[str]) -> list[str]:
-    """What was typed, without where the files went; quoted where a shell would ask for it."""
+    """The overrides without those for output, threads and restart, quoted for a shell."""
     skipped = ("output_dir=", "threads=", "restart=")
     return [_quoted(word) for word in command if not word.startswith(skipped)]
 
@@ -172,9 +172,9 @@ def _seconds(r: Record) -> str:
 
 
 def _undecided(r: Record) -> str:
-    if r["sd"] == 0 and r["difference"] == 0:  # trial by trial
-        return "neither passes" if r["mean_a"] == r["cap"] else "the very same"
-    return "may be chance"
+    if r["sd"] == 0 and r["difference"] == 0:  # in every trial
+        return "neither passes" if r["mean_a"] == r["cap"] else "identical"
+    return "not significant"
 
 
 def _needed(r: Record) -> str:

@@ -1,4 +1,4 @@
-"""The results in sentences: who is fastest, which differences are real, what options do."""
+"""The results in sentences: the fastest strategy, significant differences, effects of options."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.thesis import FAILS, HOLDS, NOT_MEASURED, OPEN, Checked
 
 MOST = 6
-"""Names in a list of a sentence."""
+"""Most names that a sentence lists."""
 
 
 def answer(
@@ -19,19 +19,19 @@ def answer(
     *,
     labels: Mapping[str, str] | None = None,
 ) -> tuple[str, str]:
-    """State which configuration converges fastest, and which differences are real.
+    """State which configuration converges fastest, and which differences are significant.
 
-    A smaller mean makes no configuration the fastest. One leads where interval and corrected test
-    exclude zero against every other; if none does, those that cannot be told apart share the first
-    place.
+    A configuration is the fastest only if interval and corrected test exclude zero against every
+    other one. If there is none, the sentence names all that do not differ significantly from the
+    one with the smallest mean.
 
     Args:
-        configurations: the configurations of one experiment, any number.
-        comparisons: ``compare_all`` of them; empty where they cannot be compared.
-        labels: what to call a configuration instead of its name.
+        configurations: any number of configurations of one experiment.
+        comparisons: ``compare_all`` of them; empty if they cannot be compared.
+        labels: text to show instead of a configuration's name.
 
     Returns:
-        Two sentences, plain text that is not escaped.
+        Two sentences of plain text, not escaped.
 
     """
     name = {c.name: (labels or {}).get(c.name, c.name) for c in configurations}
@@ -42,16 +42,16 @@ def answer(
 
 
 def because(causes: Sequence[Checked]) -> str:
-    """State whether the strategies differ by their exploration, or by the bias of their gradient.
+    """State whether strategies differ in exploration or in the bias of their gradient.
 
-    Where the actions come from another policy μ than the one that learns, π, the gradient is that
-    of neither.
+    If the actions are drawn from μ but the gradient is computed as if from π, it is the gradient
+    of neither policy's return.
 
     Args:
         causes: the checked statements on what the bias explains.
 
     Returns:
-        A sentence; empty where none of the statements was measured.
+        The text; empty if none of the statements was measured.
 
     """
     words = {HOLDS: "this holds", FAILS: "this does not hold", OPEN: "this is open"}
@@ -63,8 +63,8 @@ def because(causes: Sequence[Checked]) -> str:
     if not said:
         return ""
     return (
-        "Exploration is not all that differs: an agent that acts by another policy than the one"
-        f" it learns follows a gradient that belongs to neither. {'; '.join(said)}."
+        "The strategies differ not only in exploration: the gradient of an agent that acts by one"
+        f" policy and learns another is biased. {'; '.join(said)}."
     )
 
 
@@ -80,24 +80,24 @@ def verdicts(checked: Sequence[Checked]) -> str:
     examples = f" ({'; '.join(refuted[:3])}{more})" if refuted else ""
     parts.append(_count(len(refuted), "does not hold", "do not hold") + examples)
     needed = [c.finding.trials_needed for c in by[OPEN] if c.finding.trials_needed is not None]
-    which = "it" if len(by[OPEN]) == 1 else "the last of those that can be computed"
-    settle = f" (to settle {which} takes {max(needed):,} of each configuration)" if needed else ""
+    which = "it" if len(by[OPEN]) == 1 else "all that have an estimate"
+    settle = f" (settling {which} takes {max(needed):,} trials per configuration)" if needed else ""
     still = "open at this number of trials"
     parts.append(_count(len(by[OPEN]), f"is {still}", f"are {still}") + settle)
     missing = len(checked) - len(measured)
     if missing:
         parts.append(_count(missing, "was not measured", "were not measured"))
-    return f"Of the thesis's {len(checked)} statements {_list(parts)}."
+    return f"Of the thesis's {len(checked)} statements, {_list(parts)}."
 
 
 def option_sentences(
     comparisons: Sequence[Comparison], cells: Mapping[str, tuple[str, str]]
 ) -> tuple[str, ...]:
-    """One sentence for each option: where it needs fewer iterations than the first one, or more.
+    """One sentence for each option: where it needs fewer or more iterations than the first option.
 
     Args:
-        comparisons: of the first option with another one in the same row, corrected together.
-        cells: name of a configuration -> (row, option), as readers call them.
+        comparisons: the first option against another in the same row, corrected together.
+        cells: name of a configuration -> labels of its (row, option).
 
     """
     by: dict[str, list[tuple[str, Comparison]]] = {}
@@ -118,13 +118,13 @@ def option_sentences(
                 parts.append(f"{word} iterations under {_some(rows)}")
         same = [r for r, c in found if _identical(c)]
         if same:
-            parts.append(f"the very same trials under {_some(same)}")
+            parts.append(f"identical trials under {_some(same)}")
         never = [r for r, c in found if _never(c)]
         if never:
             parts.append(f"no trial passes with either under {_some(never)}")
         unclear = [r for r, c in found if c.winner is None and not _identical(c) and not _never(c)]
         if unclear:
-            parts.append(f"no difference beyond chance under {_some(unclear)}")
+            parts.append(f"no significant difference under {_some(unclear)}")
         sentences.append(f"{_capital(option)} against {first}: {'; '.join(parts)}.")
     return tuple(sentences)
 
@@ -134,14 +134,14 @@ def plane_sentences(
     comparisons: Sequence[Comparison],
     labels: Mapping[str, str],
 ) -> tuple[str, ...]:
-    """How much of a plane passes, where it is fastest, and which points beat the reference."""
+    """State which points of a plane pass, which is fastest, and which beat the reference."""
     rates = [pass_rate(int(c.converged.sum()), len(c)) for c in configurations]
     best = min(configurations, key=lambda c: float(c.durations.mean()))
     text = (
         f"Of {len(configurations)} points, {sum(r.above(0.8) for r in rates)} pass in more than"
         f" 80 % of trials and {sum(r.below(0.2) for r in rates)} in less than 20 % (intervals of"
-        f" {100 * LEVEL:g} %); the smallest mean, {best.durations.mean():.0f} iterations, was seen"
-        f" at {labels[best.name]}, which as the best of so many is flattered by chance."
+        f" {100 * LEVEL:g} %). {_capital(labels[best.name])} has the smallest mean,"
+        f" {best.durations.mean():.0f} iterations; as the best of many, it is optimistic."
     )
     if not comparisons:
         return (text,)
@@ -151,8 +151,8 @@ def plane_sentences(
     return (
         text,
         f"Against {labels[comparisons[0].a]}, the thesis’s softmax, {len(faster)} of"
-        f" {len(comparisons)} points need fewer iterations beyond chance after Holm’s correction"
-        f"{named}; {len(slower)} need more.",
+        f" {len(comparisons)} points need significantly fewer iterations after Holm’s correction"
+        f"{named}; {len(slower)} need significantly more.",
     )
 
 
@@ -162,18 +162,18 @@ def _fastest(
     name: Mapping[str, str],
 ) -> str:
     if not configurations:
-        return "No finished configuration was found, so that nothing can be said."
+        return "No finished configuration was found."
     if len(configurations) == 1:
         only = configurations[0]
         passes = _passes(only)
-        return f"Only {name[only.name]} was run: {passes}, with nothing to compare it to."
+        return f"Only {name[only.name]} was run: {passes}. There is nothing to compare it to."
     passing = [c for c in configurations if c.converged.any()]
     if not passing:
         return f"None of the {len(configurations)} configurations passed in any trial."
     if not comparisons:
         return (
-            f"The {len(configurations)} configurations were stopped by different rules or share"
-            " their trials, so that they are not compared."
+            f"The {len(configurations)} configurations are not compared: they have different"
+            " stopping rules or share trials."
         )
     best = min(passing, key=lambda c: float(c.durations.mean()))
     rivals = [c for c in configurations if c is not best]
@@ -182,8 +182,8 @@ def _fastest(
         others = _list([name[c.name] for c in equals])
         return (
             f"No single configuration of {len(configurations)} is fastest: {name[best.name]}"
-            f" cannot be told apart from {others} in iterations to convergence"
-            f" at the {100 * LEVEL:g} % level."
+            f" has the smallest mean number of iterations, but does not differ significantly from"
+            f" {others} at the {100 * LEVEL:g} % level."
         )
     second = min(rivals, key=lambda c: float(c.durations.mean()))
     margin = next(c for c in comparisons if {c.a, c.b} == {best.name, second.name})
@@ -191,7 +191,7 @@ def _fastest(
     low, high = sorted(-sign * x for x in (margin.difference.low, margin.difference.high))
     return (
         f"{_capital(name[best.name])} converges fastest of {len(configurations)} configurations:"
-        f" it needs {best.durations.mean():.0f} iterations on average (counted to the cap of"
+        f" it needs {best.durations.mean():.0f} iterations on average (restricted to the cap of"
         f" {best.cap}), {-sign * margin.difference.value:.0f} fewer than the next,"
         f" {name[second.name]} ({100 * LEVEL:g} % interval {low:.0f} to {high:.0f}), and"
         f" {_passes(best)}."
@@ -209,13 +209,13 @@ def _differences(
     n = min(min(c.n_a, c.n_b) for c in comparisons)
     what = "pair differs" if len(comparisons) == 1 else "pairs differ"
     text = (
-        f"{len(real)} of {len(comparisons)} {what} in iterations beyond chance after Holm's"
-        f" correction, with {n} trials or more per configuration"
+        f"{len(real)} of {len(comparisons)} {what} significantly in iterations after Holm's"
+        f" correction, with at least {n} trials per configuration"
     )
     unclear = [f"{name[c.a]} and {name[c.b]}" for c in comparisons if c.winner is None]
     if unclear:
         more = f" and {len(unclear) - 3} more" if len(unclear) > 3 else ""
-        text += f"; not told apart: {'; '.join(unclear[:3])}{more}"
+        text += f"; no significant difference between {'; '.join(unclear[:3])}{more}"
     return text + (f"; {never}." if never else ".")
 
 
@@ -233,7 +233,7 @@ def _passes(c: Outcomes) -> str:
 
 
 def _identical(c: Comparison) -> bool:
-    """Whether every trial took as many iterations under both, and some converged."""
+    """Whether every trial took equally many iterations under both, and some converged."""
     return c.sd == 0 and c.difference.value == 0 and not _never(c)
 
 

@@ -1,9 +1,9 @@
-"""The one visual language of all figures: colour, marker and line of a strategy, sizes, fonts.
+"""The style of all figures: colour, marker and line of each strategy; sizes and fonts.
 
-A strategy has the same colour, marker and line everywhere. Marker and line alone tell twelve
-configurations apart, so that figures survive greyscale print and every kind of colour blindness;
-the colours are those of Okabe & Ito and of Tol, in lightnesses that stand out from white paper.
-Several values of one parameter are a ramp from dark to light in the order of the values.
+A strategy has the same colour, marker and line in every figure. Marker and line alone distinguish
+twelve configurations, so figures remain readable in greyscale and with any colour blindness. The
+colours are those of Okabe & Ito and of Tol, with enough contrast to white paper. Values of one
+parameter form a ramp from dark to light, in order.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from trl_explore.names import STRATEGIES
 
 INK, MUTED, GRID, PAPER = "#1c1e21", "#5f6670", "#dfe2e6", "#ffffff"
 MAP = tuple(to_hex(mpl.colormaps["cividis"](k / 20)) for k in range(21))
-"""Of the cells of a map, the same on light and dark screens; *cividis* was made so that readers
-with and without every kind of cone see it alike (Nuñez, Anderton & Renslow, PLoS ONE 13, 2018)."""
+"""Colours of map cells, the same on light and dark screens. *cividis* looks nearly the same with
+and without colour vision deficiency (Nuñez, Anderton & Renslow, PLoS ONE 13, 2018)."""
 MAP_INKS = ("#101214", "#fdfdfe")
-"""Of what is written in them."""
+"""Text colours in map cells."""
 DARK_PAPER, MIN_CONTRAST = "#171a1f", 4.0
-"""The paper of a dark screen, and how far every colour stands out from it."""
+"""Background of a dark screen, and the minimum contrast of every colour to it."""
 WIDTH = 4.8
-"""Of a figure, in inches; on a phone a point of text is then about a pixel."""
+"""Width of a figure in inches; on a phone, a point of text is about a pixel."""
 
 LineStyle = str | tuple[int, tuple[float, ...]]
 
@@ -77,9 +77,9 @@ LINES: Sequence[LineStyle] = ("-", _DASH, _DASH_DOT, _LONG, _DASH_DOT_DOT)
 def styles(strategies: Sequence[str]) -> list[Style]:
     """One style for each configuration of a figure, given its strategy [n].
 
-    The only configuration of a strategy has the style of that strategy. Several of the same one
-    have a ramp of colours; where there are other strategies beside them, from dark to light in
-    the strategy's own hue. No two of twelve share both marker and line.
+    A strategy's only configuration has the style of the strategy. Several configurations of one
+    strategy have a ramp of colours, in the strategy's hue if there are other strategies. Among
+    twelve configurations, no two share both marker and line.
     """
     unknown = [name for name in dict.fromkeys(strategies) if name not in KNOWN]
     base = dict(KNOWN) | {n: FURTHER[i % len(FURTHER)] for i, n in enumerate(sorted(unknown))}
@@ -110,12 +110,12 @@ OPTIONS: Sequence[Style] = (
     Style("#7a1f3d", "s", _LONG),
     Style("#4f7a28", "P", _DASH_DOT_DOT),
 )
-"""Where strategies stand in separate panels or blocks, options are told apart; the first is the
-one that the others are held against."""
+"""Styles of options, used if strategies have separate panels or blocks; the first is for the
+option that the others are compared with."""
 
 
 def option_styles(count: int) -> list[Style]:
-    """One style for each of some options.
+    """One style per option.
 
     >>> [style.marker for style in option_styles(3)]
     ['o', 'D', '^']
@@ -124,7 +124,7 @@ def option_styles(count: int) -> list[Style]:
 
 
 def _free(style: Style, taken: set[tuple[str, LineStyle]]) -> Style:
-    """The style with the next marker, or line, that no other one of the figure has."""
+    """The style with the next combination of marker and line that is not taken."""
     start = MARKERS.index(style.marker)
     for line in (style.line, *LINES):
         for step in range(len(MARKERS)):
@@ -135,7 +135,7 @@ def _free(style: Style, taken: set[tuple[str, LineStyle]]) -> Style:
 
 
 def ramp(k: int, count: int) -> str:
-    """Colour k of an ordered ramp, dark violet to light olive, that also prints in grey."""
+    """Colour k of a ramp from dark violet to light olive that also works in greyscale."""
     position = 0.08 + 0.70 * k / max(1, count - 1)
     return to_hex(mpl.colormaps["viridis"](position))
 
@@ -185,7 +185,7 @@ _SETTINGS: Mapping[str, Any] = {
 
 @contextmanager
 def visual_language() -> Iterator[None]:
-    """Everything drawn inside has the fonts, lines and colours of the report."""
+    """Draw with the fonts, lines and colours of the report inside this context."""
     with mpl.rc_context():
         mpl.rcdefaults()
         for name, value in _SETTINGS.items():
@@ -194,7 +194,7 @@ def visual_language() -> Iterator[None]:
 
 
 def dark_variant(color: str) -> str:
-    """The colour for dark paper: greys change places, hues grow lighter until they stand out.
+    """The colour on a dark background: greys are inverted, hues lightened until they contrast.
 
     >>> dark_variant("#ffffff") == DARK_PAPER
     True

@@ -1,4 +1,4 @@
-"""A table once, written as CSV, LaTeX and Markdown; the template of the page writes it as HTML."""
+"""A table, and its CSV, LaTeX and Markdown; the template of the page writes HTML."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Column:
-    """A column for readers: its key in the records, its title, and how a record is written.
+    """A column for readers: its key in the records, its title and its text.
 
-    ``numeric`` columns are aligned right and sorted by the value under ``key``; ``wide`` ones
-    hold sentences.
+    ``numeric`` columns are right-aligned and sorted by the value of ``key``; ``wide`` columns hold
+    sentences.
     """
 
     key: str
@@ -31,20 +31,20 @@ class Column:
     css: Callable[[Record], str] | None = None
 
     def classes(self, record: Record) -> str:
-        """The classes of a cell in the page."""
+        """The CSS classes of a cell."""
         extra = self.css(record) if self.css else ""
         return " ".join(w for w in ("num" * self.numeric, "wide" * self.wide, extra) if w)
 
     def value(self, record: Record) -> str:
-        """The value that a cell of the page is sorted by."""
+        """The value that the page sorts by."""
         return plain(record.get(self.key))
 
 
 @dataclass(frozen=True)
 class Table:
-    """Records with all their numbers, and the columns that readers see of them.
+    """Records with all numbers, and the columns that readers see.
 
-    ``kind`` is a class of the page's style sheet.
+    ``kind`` is a CSS class.
     """
 
     id: str
@@ -55,7 +55,7 @@ class Table:
     kind: str = ""
 
     def to_csv(self) -> str:
-        """Every key of every record in full precision."""
+        """CSV of every key of every record, in full precision."""
         keys = list(dict.fromkeys(key for record in self.records for key in record))
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
@@ -64,11 +64,11 @@ class Table:
         return buffer.getvalue()
 
     def rows(self) -> list[list[str]]:
-        """What readers see."""
+        """The texts that readers see."""
         return [[column.text(record) for column in self.columns] for record in self.records]
 
     def to_markdown(self) -> str:
-        """A pipe table."""
+        """Markdown pipe table."""
         lines = [
             [_markdown(c.title) for c in self.columns],
             ["---:" if c.numeric else "---" for c in self.columns],
@@ -77,7 +77,7 @@ class Table:
         return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
     def to_latex(self) -> str:
-        """A ``tabular`` with the rules of booktabs."""
+        """LaTeX ``tabular`` with booktabs rules."""
         align = "".join(
             "p{0.22\\linewidth}" if c.wide else "r" if c.numeric else "l" for c in self.columns
         )
@@ -90,7 +90,7 @@ class Table:
 
 
 def plain(value: Any) -> str:
-    """A value for a machine: floats in full, nothing for None, words for booleans."""
+    """A value in full precision; None is empty, booleans are ``true`` and ``false``."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -114,5 +114,5 @@ _LATEX = {
 
 
 def _latex(text: str) -> str:
-    """Text for LaTeX: nothing in it is a command, and nothing ends a line or a comment."""
+    """Escape text for LaTeX: no commands, no comments, no line breaks."""
     return "".join(_LATEX.get(c, c if c.isprintable() else " ") for c in text)

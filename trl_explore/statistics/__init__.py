@@ -1,17 +1,16 @@
-"""Statistics of trials: a library of pure functions, arrays in, estimates out.
+"""Statistics of trials: pure functions from arrays to estimates.
 
-``estimates``    a number with its interval; a proportion with Wilson's
+``estimates``    a number with its interval; proportions with Wilson's interval
 ``bootstrap``    percentile bootstrap over trials; random streams by label
 ``permutation``  permutation tests of two means, paired and unpaired
 ``survival``     right-censored times: Kaplan-Meier, median, restricted mean, running time, log-rank
-``outcomes``     what one configuration measured; its times to convergence
-``pairing``      same seed and trial: pairs, pooling, trials counted twice
-``summary``      all estimates of one configuration
-``comparisons``  difference of two means; two configurations; all pairs with Holm's correction
-``power``        how many trials a difference needs
-``choices``      which correction, baseline or policy, and what readers call it
+``outcomes``     the results of one configuration; its times to convergence
+``pairing``      pairs by seed and trial, pooling, shared trials
+``summary``      all estimates for one configuration
+``comparisons``  differences of two configurations, with Holm's correction over many pairs
+``power``        how many trials are needed to detect a difference
 
-In all of them ``rng`` is the source of the resampling, ``level`` the confidence level of every
-interval, and ``resamples`` the number of resamples of each bootstrap and of each test. ValueError
-is raised for a level outside (0, 1) and for samples that are empty or of unequal lengths.
+In all functions, ``rng`` is the source of the resampling, ``level`` the confidence level of every
+interval, and ``resamples`` the number of resamples of each bootstrap and each test. A level outside
+(0, 1) and empty samples or arrays of mismatched lengths raise ValueError.
 """

@@ -1,4 +1,4 @@
-"""Percentile bootstrap over trials, and independent random streams by label."""
+"""Percentile bootstrap over trials; independent random streams by label."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scipy import stats
 from trl_explore.statistics.estimates import LEVEL, Estimate, check_level
 
 RESAMPLES = 9999
-# Numbers drawn at once: bounds the memory at 10,000 trials without a Python loop per resample.
+# Numbers drawn at once: limits memory with many trials.
 BATCH = 2_000_000
 
 
@@ -27,26 +27,26 @@ def bootstrap(
     level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> Estimate:
-    """Percentile bootstrap interval of a statistic of one or several samples of trials.
+    """Percentile bootstrap interval of a statistic of one or more samples of trials.
 
     θ*_b = θ(x drawn with replacement), b = 1..B;  interval = the (1 ± level)/2 quantiles of θ*
 
-    The quantiles are rounded outwards to order statistics, so that infinite resamples (no
-    trial converged) stay infinite instead of becoming NaN.
+    The quantiles are rounded outwards to order statistics, so that infinite values (resamples in
+    which no trial converged) stay infinite instead of becoming NaN.
 
-    Bounds are NaN where a sample has fewer than two trials or a resample has no defined statistic.
-    A sample without variance gives an interval without width.
+    Bounds are NaN if a sample has fewer than two trials or the statistic of a resample is NaN. A
+    sample without variance gives an interval of zero width.
 
     Args:
-        statistic: takes the samples with trials in the last axis, reduces that axis.
+        statistic: function of the samples that reduces their last axis, the trials.
         samples: arrays [n_i].
         rng: source of the resampling.
-        paired: draw the same trials from every sample (all n_i equal).
+        paired: draw the same trials from every sample; all n_i must be equal.
         level: confidence level.
         resamples: B.
 
     Raises:
-        ValueError: no sample, an empty one, unequal lengths with ``paired``, B < 1.
+        ValueError: no sample, an empty sample, unequal lengths with ``paired``, or B < 1.
 
     Source: Efron & Tibshirani, An Introduction to the Bootstrap (1993), ch. 13.
 
@@ -67,7 +67,7 @@ def bootstrap(
     if min(sizes) < 2:
         return Estimate(value, np.nan, np.nan, level)
     with warnings.catch_warnings(), np.errstate(invalid="ignore"):
-        # SciPy's own interval interpolates, so that inf becomes NaN. Only its draws are used.
+        # Only SciPy's draws are used: its interval interpolates, which turns inf into NaN.
         warnings.simplefilter("ignore")
         result = stats.bootstrap(
             arrays,
@@ -87,15 +87,15 @@ def bootstrap(
 
 
 def mean(x: NDArray[np.float64]) -> Any:
-    """x̄ over the last axis, for :func:`bootstrap`."""
+    """Mean x̄ over the last axis, for :func:`bootstrap`."""
     return x.mean(axis=-1)
 
 
 def streams(rng: np.random.Generator, labels: Iterable[str]) -> dict[str, np.random.Generator]:
     """Independent generators, one per label, each a function of (state of ``rng``, label).
 
-    What is drawn for one label does not depend on which other labels there are, so that one
-    configuration more in a report leaves the intervals of the others as they were.
+    The draws for one label do not depend on the other labels, so adding a configuration to a
+    report does not change the intervals of the others.
 
     >>> a = streams(np.random.default_rng(0), ["x"])["x"].random()
     >>> a == streams(np.random.default_rng(0), ["w", "x"])["x"].random()

@@ -1,4 +1,4 @@
-"""Difference of two means; two configurations side by side; all pairs, with Holm's correction."""
+"""Difference of two means; comparison of two configurations; many pairs with Holm's correction."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class MeanDifference:
 
     Attributes:
         estimate: the difference with its bootstrap interval.
-        p_value: two-sided; sign flips where paired, else permuted labels.
-        n: number of pairs; where unpaired, the smaller of both numbers.
-        sd: standard deviation of one pair's difference; where unpaired √(s_x² + s_y²), so that
-            in both designs the standard error with n trials each is about sd / √n.
-        correlation: Pearson's r of the pairs; NaN where unpaired or without variance.
-        variance_ratio: Var(x - y) / (Var x + Var y); below 1 pairing makes the comparison
-            sharper, as if there were 1 / ratio as many trials. NaN as for the correlation.
+        p_value: two-sided; by sign flips if paired, otherwise by permuted labels.
+        n: number of pairs; if unpaired, the smaller sample size.
+        sd: standard deviation of a paired difference, or √(s_x² + s_y²) if unpaired; in both
+            designs the standard error with n trials each is about sd / √n.
+        correlation: Pearson's r of the pairs; NaN if unpaired or without variance.
+        variance_ratio: Var(x - y) / (Var x + Var y); a value below 1 means that pairing increases
+            precision like 1 / ratio times the trials. NaN as for the correlation.
 
     """
 
@@ -46,10 +46,10 @@ class MeanDifference:
     variance_ratio: float
 
     def sign(self) -> int:
-        """-1 or +1 where interval and test both exclude zero at the estimate's level, else 0.
+        """-1 or +1 if interval and test both exclude zero at the estimate's level, otherwise 0.
 
-        Both are asked because each alone errs with few trials: the bootstrap interval is too
-        short, and the permutation test says nothing of the size.
+        Both are required because, with few trials, the bootstrap interval is too short, and the
+        permutation test does not give the size of the difference.
         """
         return _sign(self.estimate, self.p_value)
 
@@ -66,12 +66,11 @@ def mean_difference(
 ) -> MeanDifference:
     """Δ̂ = mean(x) - mean(y) with percentile bootstrap interval and permutation p-value.
 
-    Paired: trials are resampled as pairs and the signs of x_i - y_i flipped. Unpaired: each
-    sample is resampled by itself and the labels permuted. ``tail`` is that of the test, see
-    :func:`sign_flip_test`.
+    Paired: pairs are resampled, and the signs of x_i - y_i flipped. Unpaired: each sample is
+    resampled separately, and the labels permuted. For ``tail`` see :func:`sign_flip_test`.
 
     Raises:
-        ValueError: an empty sample, values that are not finite, unequal lengths where paired.
+        ValueError: an empty sample, values that are not finite, or unequal lengths if paired.
 
     Source: Efron & Tibshirani, An Introduction to the Bootstrap (1993), ch. 8, 13 and 15.
 
@@ -103,27 +102,27 @@ def mean_difference(
 
 @dataclass(frozen=True)
 class Comparison:
-    """Configuration ``a`` against configuration ``b``, in iterations restricted to the cap.
+    """Comparison of configurations ``a`` and ``b`` in iterations, restricted to the cap.
 
     Attributes:
         a: name of the first configuration.
         b: name of the second.
-        design: ``paired`` (by seed and trial index, on the trials both have), or ``unpaired``
-            where they have none in common.
-        n_a: trials of a that were compared.
-        n_b: trials of b that were compared.
-        dropped: trials of either that have no partner and were left out.
+        design: ``paired`` (by seed and trial index, on the common trials), or ``unpaired`` if
+            there are no common trials.
+        n_a: number of compared trials of a.
+        n_b: number of compared trials of b.
+        dropped: number of trials of a and b that were left out because they have no partner.
         cap: the common cap, iterations.
         mean_a: restricted mean of a over the compared trials, iterations.
         mean_b: the same for b.
         difference: mean_a - mean_b with bootstrap interval, iterations; negative: a is faster.
         p_value: permutation test of the difference (sign flips or labels), two-sided.
-        p_holm: the same, corrected for all pairs of the table; equal to it for a single pair.
-        p_logrank: log-rank test on the same trials, as a second opinion; it ignores the pairs.
-        faster: probability that a converges before b, ties (both censored too) counting half.
-        correlation: Pearson's r of the paired times; NaN where undefined.
-        variance_ratio: Var(a - b) / (Var a + Var b); below 1 pairing helps. NaN where undefined.
-        sd: standard deviation of a pair's difference, for the functions of ``power``.
+        p_holm: ``p_value`` after Holm's correction for all pairs of the table.
+        p_logrank: log-rank test on the same trials, as an additional check; it ignores pairing.
+        faster: probability that a converges before b; ties (also both censored) count half.
+        correlation: Pearson's r of the paired times; NaN if undefined.
+        variance_ratio: Var(a - b) / (Var a + Var b); below 1 pairing helps. NaN if undefined.
+        sd: standard deviation of a paired difference, for the functions of ``power``.
 
     """
 
@@ -147,7 +146,7 @@ class Comparison:
 
     @property
     def winner(self) -> str | None:
-        """The faster one, where interval and corrected test both exclude zero; else None."""
+        """The faster configuration if interval and corrected test both exclude zero, or None."""
         return {-1: self.a, 1: self.b}.get(_sign(self.difference, self.p_holm))
 
     def row(self) -> dict[str, Any]:
@@ -164,7 +163,7 @@ def compare(
     resamples: int = RESAMPLES,
     tail: bool = False,
 ) -> Comparison:
-    """Compare the times to convergence of two configurations on the trials both have.
+    """Compare the times to convergence of two configurations on their common trials.
 
     Δ = E[min(T_a, cap)] - E[min(T_b, cap)]   (difference of restricted means)
 
@@ -214,9 +213,9 @@ def compare_all(
     level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> list[Comparison]:
-    """Every pair of a list, in the list's order, with ``p_holm`` over all of them.
+    """Compare all pairs of configurations, in order, with ``p_holm`` over all pairs.
 
-    Fewer than two configurations give an empty table.
+    Fewer than two configurations give an empty list.
 
     Raises:
         ValueError: as :func:`compare`; or two configurations with the same name.
@@ -238,14 +237,14 @@ def compare_pairs(
     level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> list[Comparison]:
-    """Those pairs that were planned, with ``p_holm`` over them and no others.
+    """Compare planned pairs, with ``p_holm`` over these pairs only.
 
     Raises:
         ValueError: as :func:`compare`.
 
     """
     rngs = streams(rng, [f"{a.name} | {b.name}" for a, b in pairs])
-    # So many pairs that the smallest p of so many resamples, times their number, is no finding.
+    # With too many pairs, even the smallest Monte Carlo p is not significant after correction.
     tail = len(pairs) > (1.0 - level) * (1 + resamples)
     table = [
         compare(a, b, rngs[f"{a.name} | {b.name}"], level=level, resamples=resamples, tail=tail)
@@ -258,7 +257,7 @@ def compare_pairs(
 def holm(p_values: Sequence[float]) -> list[float]:
     """Holm's step-down correction: p̃_(k) = max_{j ≤ k} min(1, (m - j + 1) p_(j)).
 
-    Controls the probability of any false rejection under every dependence of the tests.
+    Controls the probability of any false rejection under any dependence between the tests.
 
     Source: Holm, Scandinavian Journal of Statistics 6 (1979).
 

@@ -1,4 +1,4 @@
-"""A number with its interval, the form of every estimate; a proportion with Wilson's interval."""
+"""Estimates with intervals; a proportion with Wilson's interval."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ LEVEL = 0.95
 class Estimate:
     """Point estimate θ̂ with a two-sided interval [low, high] at confidence ``level``.
 
-    ``nan`` bounds mean that the data allow no interval (a single trial, say); every question
-    about such an interval is answered with no. ``inf`` means "not reached within the cap".
+    ``nan`` bounds mean that there is no interval (for a single trial, for example); all methods
+    then return False. ``inf`` means "not reached within the cap".
 
     Attributes:
         value: the point estimate, in the unit of the quantity.
@@ -68,9 +68,9 @@ def pass_rate(successes: float, trials: int, *, level: float = LEVEL) -> Estimat
 
     (p̂ + z²/2n ± z √(p̂(1-p̂)/n + z²/4n²)) / (1 + z²/n),  z = Φ⁻¹((1 + level) / 2)
 
-    The set of p that the score test does not reject; unlike p̂ ± z·se it stays in [0, 1] and
-    has a width also at k = 0 and k = n. A tie may count half, which ``scipy.stats.binomtest``
-    refuses.
+    The set of p that the score test does not reject. Unlike p̂ ± z·se, it stays in [0, 1] and has
+    nonzero width at k = 0 and k = n. k need not be an integer, so that ties can count half;
+    ``scipy.stats.binomtest`` does not allow this.
 
     Raises:
         ValueError: n < 1, or k outside 0..n.
@@ -91,14 +91,14 @@ def pass_rate(successes: float, trials: int, *, level: float = LEVEL) -> Estimat
     scale = 1 + z**2 / n
     center = (p + z**2 / (2 * n)) / scale
     width = z * sqrt(p * (1.0 - p) / n + z**2 / (4.0 * n**2)) / scale
-    # At k = 0 and k = n the closed form leaves 1e-17 where the bound is exactly 0 or 1.
+    # At k = 0 and k = n the bound is exactly 0 or 1; the formula has a rounding error of 1e-17.
     low = 0.0 if successes == 0 else center - width
     high = 1.0 if successes == trials else center + width
     return Estimate(p, low, high, level)
 
 
 def flat(values: Mapping[str, Any]) -> dict[str, Any]:
-    """One row of a table: an :class:`Estimate` becomes ``x``, ``x_low``, ``x_high``."""
+    """Flat row of a table: an :class:`Estimate` becomes ``x``, ``x_low``, ``x_high``."""
     row: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, Estimate):

@@ -1,4 +1,4 @@
-"""What one configuration measured, one entry per trial; its times to convergence."""
+"""The results of one configuration, one entry per trial; its times to convergence."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Outcomes:
     """The trials of one job, in the order of their trial index.
 
     Every array has shape [n_trials]. A trial with status ``capped`` is right-censored at
-    ``iterations``; one with status ``diverged`` never converges, so that it counts as censored
-    at the cap, whatever the iteration in which it stopped.
+    ``iterations``. A trial with status ``diverged`` never converges, so it counts as censored at
+    the cap, regardless of the iteration in which it stopped.
 
     Attributes:
         name: the name of the job folder, unique within a sweep.
@@ -63,12 +63,12 @@ class Outcomes:
 
     @property
     def durations(self) -> NDArray[np.int64]:
-        """Iterations to convergence, or to censoring [n_trials]: a diverged trial at the cap."""
+        """Iterations to convergence or censoring [n_trials]; the cap for diverged trials."""
         return np.where(self.status == "diverged", self.cap, self.iterations)
 
     @property
     def judged_by(self) -> str:
-        """Which scores decide when a trial has converged: ``training``, or which evaluations."""
+        """The scores that decide convergence: ``training``, or a description of the evaluations."""
         if self.config.get("stop_on", "training") == "training":
             return "training"
         every, count = self.config.get("evaluate_every"), self.config.get("evaluate_episodes", 1)
@@ -88,11 +88,11 @@ def convergence_times(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Durations and event indicators of a configuration, ready for :func:`kaplan_meier`.
 
-    In iterations, a trial that did not converge is censored at the cap. In frames the cap is
-    met after different numbers of frames, early by trials that score badly, so that censoring
-    there would be informative and Kaplan-Meier too optimistic. Failed trials therefore stay
-    at risk until the largest number of frames of any trial: Ŝ is then one minus the cumulative
-    incidence of convergence with giving up as a competing event (Aalen-Johansen).
+    In iterations, a trial that did not converge is censored at the cap. In frames, trials reach
+    the cap at different times, and trials with low scores reach it early. Censoring there would
+    be informative, and Kaplan-Meier too optimistic. Failed trials therefore stay at risk until the
+    largest number of frames of any trial: Ŝ is then one minus the cumulative incidence of
+    convergence, with stopping at the cap as a competing event (Aalen-Johansen).
 
     Args:
         outcomes: one configuration.
@@ -102,8 +102,8 @@ def convergence_times(
         durations [n] in the unit, converged [n].
 
     Raises:
-        ValueError: another unit; a configuration without trials; a trial that converged after
-            the cap, or stopped before it without converging or diverging (unfinished job).
+        ValueError: an unknown unit; no trials; a trial that converged after the cap, or stopped
+            before it without converging or diverging (unfinished job).
 
     Source: Putter, Fiocco & Geskus, Statistics in Medicine 26 (2007), §3.
 

@@ -1,8 +1,8 @@
-"""Which trials of several jobs are the same: pairs, pooling, and trials counted twice.
+"""Trials in several jobs: pairs, pooling, and shared trials.
 
 (``seed``, trial index) determines the random streams of a trial. Two strategies on the same
-(seed, trial) are a pair; the same strategy on the same (seed, trial) is one and the same trial,
-in whatever experiment it was run, and counts once.
+(seed, trial) form a pair. The same strategy on the same (seed, trial) is the same trial in any
+experiment, and counts once.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from trl_explore.statistics.outcomes import Outcomes
 
-# The groups of a configuration that shape the learning of an agent. Where and how it was run,
-# how many trials, and when it was stopped do not make it another agent.
+# The groups of a configuration that define an agent. The machine, the collector, the number of
+# trials and the stopping rule do not.
 AGENT_GROUPS = (
     "env", "policy", "loss", "correction", "baseline", "optimizer", "episodes_per_update",
 )  # fmt: skip
-# Environments come with a proposal for the stopping rule, and with the number of processes that
-# step them: neither is part of the agent.
+# Keys of an environment that do not define the agent: its default stopping rule, and the number
+# of processes.
 NO_AGENT = ("score_threshold", "score_window", "max_iterations", "workers")
 PER_TRIAL = ("trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status")
 
@@ -39,10 +39,10 @@ class SharedTrials:
 
 
 def configuration_key(outcomes: Outcomes) -> str:
-    """Canonical text of what makes the agent: strategy, parameters, and ``AGENT_GROUPS``.
+    """Canonical text of what defines an agent: strategy, parameters, and ``AGENT_GROUPS``.
 
-    Equal for jobs whose trials are the same agents; 1 and 1.0 are the same number. Caps and
-    thresholds do not enter: a trial stopped later is still the same trial.
+    Equal for jobs with the same agents; 1 and 1.0 are equal. Caps and thresholds are not part of
+    it: a trial that is stopped later is still the same trial.
     """
     groups = {key: outcomes.config[key] for key in AGENT_GROUPS if key in outcomes.config}
     if isinstance(env := groups.get("env"), Mapping):
@@ -52,7 +52,7 @@ def configuration_key(outcomes: Outcomes) -> str:
 
 
 def trial_keys(outcomes: Outcomes) -> list[tuple[int, int]]:
-    """(seed, trial) of every trial, in order; ValueError where one occurs twice."""
+    """(seed, trial) of every trial, in order; ValueError if one occurs twice."""
     keys = list(zip(outcomes.seed.tolist(), outcomes.trial.tolist(), strict=True))
     if len(set(keys)) < len(keys):
         twice = next(key for i, key in enumerate(keys) if key in keys[:i])
@@ -61,14 +61,14 @@ def trial_keys(outcomes: Outcomes) -> list[tuple[int, int]]:
 
 
 def pair_indices(a: Outcomes, b: Outcomes) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Positions in ``a`` and in ``b`` of the trials (seed, trial) that both have, [n_pairs]."""
+    """Positions in ``a`` and in ``b`` of the common trials (seed, trial), each [n_pairs]."""
     return common(trial_keys(a), trial_keys(b))
 
 
 def common(
     a: Sequence[tuple[int, int]], b: Sequence[tuple[int, int]]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Positions in ``a`` and in ``b`` of the keys that both have, in the order of ``a``.
+    """Positions in ``a`` and in ``b`` of the common keys, in the order of ``a``.
 
     >>> [index.tolist() for index in common([(0, 7), (0, 8)], [(0, 9), (0, 8)])]
     [[1], [1]]
@@ -82,8 +82,8 @@ def common(
 def shared_trials(jobs: Sequence[Outcomes]) -> list[SharedTrials]:
     """All pairs of jobs that contain the same trials of the same configuration.
 
-    Such jobs (ε = 0.3 of the thesis and of the ε grid, with one seed) are not independent
-    evidence: never pool, compare or count them as if they were.
+    Such jobs (for example ε = 0.3 in the thesis's experiment and in the ε grid, with one seed) are
+    not independent: never pool, compare or count them as if they were.
     """
     found = []
     for a, b in combinations(jobs, 2):
@@ -94,7 +94,7 @@ def shared_trials(jobs: Sequence[Outcomes]) -> list[SharedTrials]:
 
 
 def refuse_shared(jobs: Sequence[Outcomes]) -> None:
-    """Raise ValueError where :func:`shared_trials` finds any."""
+    """Raise ValueError if :func:`shared_trials` finds any."""
     for shared in shared_trials(jobs):
         a, b = "/".join(shared.first), "/".join(shared.second)
         raise ValueError(
@@ -104,9 +104,9 @@ def refuse_shared(jobs: Sequence[Outcomes]) -> None:
 
 
 def deduplicate(jobs: Sequence[Outcomes]) -> list[Outcomes]:
-    """Drop the trials that an earlier job of the same configuration already has.
+    """Drop trials that an earlier job of the same configuration contains.
 
-    Jobs that have no trial left are dropped; the order stays.
+    Jobs without remaining trials are dropped; the order is kept.
     """
     seen: set[tuple[str, int, int]] = set()
     kept = []
@@ -121,12 +121,12 @@ def deduplicate(jobs: Sequence[Outcomes]) -> list[Outcomes]:
 
 
 def select(outcomes: Outcomes, index: NDArray[Any]) -> Outcomes:
-    """Keep the trials at ``index`` (boolean [n_trials] or positions), all else unchanged."""
+    """Keep the trials at ``index``, a boolean mask [n_trials] or positions."""
     return replace(outcomes, **{name: getattr(outcomes, name)[index] for name in PER_TRIAL})
 
 
 def pool(jobs: Sequence[Outcomes]) -> Outcomes:
-    """One configuration from several jobs of it (other seeds, or other ranges of trials).
+    """Pool the jobs of one configuration (different seeds or ranges of trials).
 
     Name and experiment are those of the first job.
 
@@ -149,10 +149,9 @@ def pool(jobs: Sequence[Outcomes]) -> Outcomes:
 
 
 def check_comparable(a: Outcomes, b: Outcomes) -> None:
-    """Raise ValueError unless both were stopped by the same rule.
+    """Raise ValueError unless both have the same stopping rule.
 
-    That is cap, threshold and window, and whether training or evaluation scores are held against
-    them.
+    The rule is cap, threshold and window, and which scores (training or evaluation) it uses.
     """
     for word, x, y in (
         ("cap", a.cap, b.cap),

@@ -1,7 +1,7 @@
 """Permutation tests of the difference of two means: sign flips (paired), labels (unpaired).
 
-``scipy.stats.permutation_test`` differs in what is reported: it draws other permutations from the
-same seed, doubles the smaller one-sided p, and knows no bound for the tail.
+``scipy.stats.permutation_test`` gives other p-values: it draws different permutations from the same
+seed, doubles the smaller one-sided p, and has no tail bound.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ def sign_flip_test(
 
     p = P(|Σ s_i d_i| ≥ |Σ d_i|),  s_i = ±1 with equal probability
 
-    Exact by enumeration where 2^n ≤ ``resamples``; otherwise Monte Carlo, with the observed
-    signs counted as one draw, (1 + hits) / (1 + resamples), which keeps the test valid.
-    Where no draw hits, that is 1 / (1 + resamples) however large the difference, too coarse for
-    a correction over hundreds of tests; Hoeffding's bound p ≤ 2 exp(-(Σ d_i)² / 2 Σ d_i²) is not.
+    Exact by enumeration if 2^n ≤ ``resamples``. Otherwise Monte Carlo, p = (1 + hits) / (1 +
+    resamples): counting the observed signs as one draw keeps the test valid. Without hits, p is
+    1 / (1 + resamples) however large the difference, which is too coarse for a correction over
+    hundreds of tests. Hoeffding's bound p ≤ 2 exp(-(Σ d_i)² / 2 Σ d_i²) is finer.
 
     Args:
         differences: d = x - y per pair, [n_pairs].
-        rng: source of the signs (unused where the test is exact).
+        rng: source of the signs (unused if the test is exact).
         resamples: number of random sign vectors.
-        tail: return that bound where no draw hits and it is smaller. The test stays valid: the
-            exact p is below the bound, and nothing changes at levels from 1 / (1 + resamples) up.
+        tail: return this bound if there are no hits and it is smaller. The test stays valid: the
+            exact p is below the bound, and decisions at α ≥ 1 / (1 + resamples) do not change.
 
     Raises:
-        ValueError: no pair, or a difference that is not finite.
+        ValueError: no pairs, or a difference that is not finite.
 
     Source: Fisher, The Design of Experiments (1935), §21; Phipson & Smyth (2010) for the +1;
     Hoeffding, Journal of the American Statistical Association 58 (1963), theorem 2.
@@ -75,14 +75,14 @@ def label_permutation_test(
     resamples: int = RESAMPLES,
     tail: bool = False,
 ) -> float:
-    """Two-sided p-value of H0: both samples come from one distribution.
+    """Two-sided p-value of H0: both samples come from the same distribution.
 
     p = P(|mean(x*) - mean(y*)| ≥ |mean(x) - mean(y)|) over random relabellings of all trials
 
-    Exact by enumeration where the number of relabellings is at most ``resamples``; otherwise
-    Monte Carlo as in :func:`sign_flip_test`. For independent trials; pairs need the sign flips.
-    Hoeffding's bound is here p ≤ 2 exp(-2 (Σ x_i - n_x m)² / n (max - min)²), m the mean and
-    max - min the range of all values, n the smaller of n_x and n_y. ``tail`` is as there.
+    Exact by enumeration if the number of relabellings is at most ``resamples``; otherwise Monte
+    Carlo as in :func:`sign_flip_test`. For independent samples only; for pairs use sign flips.
+    ``tail`` has the same meaning with Hoeffding's bound p ≤ 2 exp(-2 (Σ x_i - n_x m)² / n
+    (max - min)²), where m is the mean and max - min the range of all values, n = min(n_x, n_y).
 
     Raises:
         ValueError: an empty sample, or a value that is not finite.
@@ -96,7 +96,7 @@ def label_permutation_test(
     """
     a, b = two_samples(x, y)
     pooled = np.concatenate([a, b])
-    # With the total fixed, the difference of means is a linear function of the sum of x alone.
+    # The total is fixed, so the difference of means is a linear function of the sum of x.
     expected = pooled.sum() * len(a) / len(pooled)
     least = _tolerated(abs(a.sum() - expected), pooled)
     n = len(pooled)
@@ -129,7 +129,7 @@ def _monte_carlo(
     resamples: int,
     bound: tuple[Any, Any] | None,
 ) -> float:
-    """(1 + #{|drawn| ≥ least}) / (1 + resamples); without a hit 2 exp(-u / v), where smaller."""
+    """(1 + #{|drawn| ≥ least}) / (1 + resamples); without hits 2 exp(-u / v) if smaller."""
     rows = max(1, BATCH // n)
     hits = sum(
         int(np.count_nonzero(np.abs(draw(min(rows, resamples - start))) >= least))
@@ -138,10 +138,10 @@ def _monte_carlo(
     p = (1 + hits) / (1 + resamples)
     if hits or bound is None:
         return p
-    # Never 0: e^-700 is still a number, and small enough for every correction.
+    # e^-700 is still positive, and small enough for every correction.
     return min(p, 2.0 * exp(-min(float(bound[0] / bound[1]), 700.0)))
 
 
 def _tolerated(observed: float, values: NDArray[np.float64]) -> float:
-    # Equal sums differ in their last bits when added in another order; they are still ties.
+    # Equal sums may differ in their last bits if added in another order; they count as ties.
     return observed - 1e-10 * float(np.abs(values).sum())

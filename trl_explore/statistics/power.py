@@ -1,9 +1,9 @@
-"""Sample size: which difference n trials would find, and how many trials a difference needs.
+"""Power and sample size: the difference that n trials detect, the trials that a difference needs.
 
-All by the normal approximation. ``sd`` ≥ 0 is the standard deviation of one pair's difference
-(``Comparison.sd``); for unpaired trials √(s_a² + s_b²) with n trials in each configuration.
-``power`` is the probability to find the difference, ``level`` 1 - α of the two-sided test; both lie
-in (0, 1), else ValueError.
+All functions use the normal approximation. ``sd`` ≥ 0 is the standard deviation of a paired
+difference (``Comparison.sd``), or √(s_a² + s_b²) for unpaired trials, with n trials in each
+configuration. ``power`` is the probability of detecting the difference; ``level`` is 1 - α of the
+two-sided test. Both lie in (0, 1), otherwise ValueError.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from scipy import stats
 from trl_explore.statistics.estimates import LEVEL, check_level
 
 POWER = 0.80
-# Beyond this a number of trials is no advice but a sign that the difference is nil.
+# Larger numbers of trials are reported as None.
 MOST_TRIALS = 100_000_000
 
 
 def detectable_difference(
     sd: float, n: ArrayLike, *, power: float = POWER, level: float = LEVEL
 ) -> NDArray[np.float64]:
-    """Smallest difference of means found with the given power: δ = (z_{1-α/2} + z_power) sd / √n.
+    """Smallest mean difference detected with the given power: δ = (z_{1-α/2} + z_power) sd / √n.
 
     δ has the unit of ``sd`` and the shape of ``n``, the number of pairs.
 
@@ -46,10 +46,10 @@ def detectable_difference(
 def trials_for_difference(
     sd: float, difference: float, *, power: float = POWER, level: float = LEVEL
 ) -> int | None:
-    """Pairs needed to find a difference of means: n = ⌈((z_{1-α/2} + z_power) sd / δ)²⌉.
+    """Pairs needed to detect a difference of means: n = ⌈((z_{1-α/2} + z_power) sd / δ)²⌉.
 
-    At least :func:`fewest_pairs`, below which a permutation test finds nothing. None where no
-    number of trials (up to 10⁸) would do: the ``difference`` δ is 0 or not known (NaN).
+    At least :func:`fewest_pairs`, because with fewer a permutation test is never significant. None
+    if more than 10⁸ trials are needed, or if the ``difference`` δ is 0 or NaN.
 
     Source: Lachin, Controlled Clinical Trials 2 (1981).
 
@@ -65,9 +65,9 @@ def trials_for_difference(
 
 
 def fewest_pairs(level: float = LEVEL) -> int:
-    """Pairs below which no difference is found, however large: 2 / 2^n ≤ α, n = ⌈1 + log₂ 1/α⌉.
+    """Fewest pairs for a significant sign-flip test: 2 / 2^n ≤ α, n = ⌈1 + log₂ 1/α⌉.
 
-    The smallest p of a two-sided sign-flip test of n pairs is 2 / 2^n: all differences have one
+    The smallest p of a two-sided test of n pairs is 2 / 2^n, if all differences have the same
     sign.
 
     >>> fewest_pairs(0.95), fewest_pairs(1 - 0.05 / 10)
@@ -83,8 +83,8 @@ def trials_for_rate_bound(
     """Trials after which Wilson's interval around ``rate`` would exclude ``bound``.
 
     n = ⌈(z_{1-α/2} √(p₀(1-p₀)) + z_power √(p(1-p)))² / (p - p₀)²⌉ for p₀ = bound. At p = 0
-    (or 1) the second term is nil: the first n at which an unbroken row settles the question. None
-    where ``rate`` equals ``bound``.
+    or 1 the second term is 0, and n is the smallest number of trials, all with the same outcome,
+    that settles the question. None if ``rate`` equals ``bound``.
 
     Raises:
         ValueError: a rate outside [0, 1].
@@ -104,7 +104,7 @@ def trials_for_rate_bound(
 
 
 def _whole(n: float) -> int | None:
-    # The small number undoes rounding just above a whole number.
+    # 1e-9 corrects results that rounding moved just above an integer.
     return max(2, math.ceil(n - 1e-9)) if n <= MOST_TRIALS else None
 
 

@@ -1,4 +1,4 @@
-"""Everything measured about one configuration, as one row; the final score's distribution."""
+"""All estimates for one configuration; the distribution of its final scores."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 @dataclass(frozen=True, eq=False)
 class ScoreSummary:
-    """Distribution of the final score of one configuration.
+    """Distribution of the final scores of one configuration.
 
     Attributes:
         n: trials with a finite score.
-        missing: trials without one (diverged before they had a score); not in the statistics.
+        missing: trials without a finite score (they diverged before they had one), not included.
         mean: mean with bootstrap interval.
         iqm: interquartile mean with bootstrap interval.
         sd: standard deviation (n - 1); NaN for one trial.
-        quantiles: at the probabilities ``QUANTILES``, linear interpolation [5].
+        quantiles: quantiles [5] at the probabilities ``QUANTILES``, by linear interpolation.
 
     """
 
@@ -46,7 +46,7 @@ class ScoreSummary:
 
 
 def interquartile_mean(scores: ArrayLike) -> Any:
-    """Mean of the middle half: ⌊n/4⌋ values are cut from each end of the last axis.
+    """Mean of the middle half: ⌊n/4⌋ values are removed at each end of the last axis.
 
     Source: Agarwal et al., Deep RL at the Edge of the Statistical Precipice (2021), §4.3.
 
@@ -64,7 +64,7 @@ def summarise_scores(
     level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> ScoreSummary:
-    """Mean, interquartile mean and quantiles of the final scores [n], NaN where a trial has none.
+    """Mean, interquartile mean and quantiles of final scores [n]; NaN scores are left out.
 
     >>> summarise_scores([1.0, 2.0, 3.0, 4.0], np.random.default_rng(0)).iqm.value
     2.5
@@ -90,23 +90,23 @@ class Summary:
     """The statistics of one configuration.
 
     Attributes:
-        name: of the configuration.
-        experiment: it belongs to.
+        name: name of the configuration.
+        experiment: name of the experiment.
         strategy: name of the strategy.
-        parameters: of the strategy.
+        parameters: parameters of the strategy.
         n: number of trials.
-        converged: trials that converged.
-        diverged: trials that diverged (never converging, in all statistics).
-        cap: iterations.
-        pass_rate: with Wilson interval.
+        converged: number of trials that converged.
+        diverged: number of trials that diverged; all statistics count them as never converging.
+        cap: maximum number of iterations.
+        pass_rate: share of trials that converged, with Wilson interval.
         median: Kaplan-Meier median of iterations; ``inf``: not reached.
         restricted_mean: E[min(T, cap)], iterations.
         restricted_mean_se: its standard error, iterations; NaN for one trial.
         expected_running_time: iterations per success with restarts; ``inf``: none converged.
-        score: the final score's distribution.
+        score: distribution of the final scores.
         frames_median: median frames to convergence; ``inf``: not reached.
-        frames_mean: mean frames until a trial stopped, converged or not, bootstrap interval.
-        frames_total: frames of all trials.
+        frames_mean: mean frames until a trial stopped, converged or not, with bootstrap interval.
+        frames_total: total frames of all trials.
 
     """
 
@@ -151,7 +151,7 @@ def summarise(
     level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> Summary:
-    """All statistics of one configuration; each is defined where it is computed.
+    """All statistics of one configuration; see the functions that compute them.
 
     Raises:
         ValueError: no trials, or an unfinished job (see ``convergence_times``).
@@ -192,7 +192,7 @@ def summarise_all(
     level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> list[Summary]:
-    """One summary per configuration; a row does not depend on which other rows there are."""
+    """One summary per configuration; a summary does not depend on the other configurations."""
     rngs = streams(rng, [f"{c.experiment}/{c.name}" for c in configurations])
     return [
         summarise(c, rngs[f"{c.experiment}/{c.name}"], level=level, resamples=resamples)

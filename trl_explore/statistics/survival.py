@@ -1,10 +1,10 @@
 """Right-censored times to convergence.
 
-Kaplan-Meier curve, median, restricted mean, expected running time; of two samples, the log-rank
-test and the probability that one is faster.
+Kaplan-Meier curve, median, restricted mean and expected running time of one sample; log-rank test
+and probability of being faster for two samples.
 
 A sample is ``durations`` [n], the times to convergence or censoring, positive and in any unit, and
-``converged`` [n], whether the trial converged.
+``converged`` [n], whether each trial converged.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from trl_explore.statistics.estimates import (
 
 @dataclass(frozen=True, eq=False)
 class SurvivalCurve:
-    """Ŝ(t), the share of trials that have not converged after t: a right-continuous step.
+    """Ŝ(t), the share of trials that have not converged by t: a right-continuous step function.
 
     All arrays have shape [k]: the time 0, every time at which a trial converged, and the
     horizon, in increasing order. Ŝ is constant from ``times[i]`` up to ``times[i + 1]``.
@@ -39,7 +39,7 @@ class SurvivalCurve:
         survival: Ŝ(times), in [0, 1].
         low: lower end of the pointwise interval.
         high: upper end of the pointwise interval.
-        at_risk: trials that are neither converged nor censored just before each time.
+        at_risk: trials that have neither converged nor been censored before each time.
         events: trials that converged at each time.
         n: number of trials.
         level: confidence level of the interval.
@@ -56,7 +56,7 @@ class SurvivalCurve:
     level: float = LEVEL
 
     def at(self, times: ArrayLike) -> NDArray[np.float64]:
-        """Ŝ at any times [m] ≥ 0; beyond the horizon nothing is known: NaN."""
+        """Ŝ at any times [m] ≥ 0; NaN beyond the horizon, where it is unknown."""
         t = np.asarray(times, dtype=np.float64)
         index = np.searchsorted(self.times, t, side="right") - 1
         return np.where(t > self.times[-1], np.nan, self.survival[index])
@@ -70,13 +70,13 @@ def kaplan_meier(
     Ŝ(t) = Π_{t_i ≤ t} (1 - d_i / n_i)
     interval = Ŝ^exp(±z σ),  σ² = Σ_{t_i ≤ t} d_i / (n_i (n_i - d_i)) / (log Ŝ)²
 
-    with d_i trials converging at t_i and n_i at risk; at equal times convergence comes before
-    censoring. Where Ŝ is 1 or 0 Greenwood's variance is zero and the log-log interval
-    undefined; Wilson's interval with all n trials stands there, so that "none of 3 converged"
-    is not shown as certainty.
+    with d_i trials converging at t_i and n_i at risk; at equal times, convergence comes before
+    censoring. Where Ŝ is 1 or 0, Greenwood's variance is zero and the log-log interval is
+    undefined. Wilson's interval with all n trials is used there, so that "none of 3 converged" is
+    not shown as certainty.
 
     Raises:
-        ValueError: no trial, unequal lengths, or a duration that is not positive and finite.
+        ValueError: no trials, unequal lengths, or a duration that is not positive and finite.
 
     Source: Kaplan & Meier, JASA 53 (1958); Kalbfleisch & Prentice, The Statistical Analysis of
     Failure Time Data (2002), §1.4.
@@ -91,7 +91,7 @@ def kaplan_meier(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # the interval is NaN where Ŝ is 0 or 1
         band = curve.confidence_interval(level, method="log-log")
-    # SciPy also steps where trials are only censored; of those, the horizon alone is kept.
+    # SciPy also lists times at which trials are only censored; of these, keep only the horizon.
     shown = np.isin(curve.quantiles, t[e]) | (curve.quantiles == t.max())
     times = np.concatenate([[0.0], curve.quantiles[shown]])
     survival, low, high = (
@@ -120,10 +120,10 @@ def number_at_risk(durations: ArrayLike, times: ArrayLike) -> NDArray[np.int64]:
 
 
 def median_time(curve: SurvivalCurve) -> Estimate:
-    """Median of T: the first t with Ŝ(t) ≤ ½; its interval, the t whose own interval has ½.
+    """Median of T: the first t with Ŝ(t) ≤ ½; its interval holds the t whose interval contains ½.
 
-    ``inf`` ("not reached") where the curve, or a bound of it, never comes down to one half. The
-    lower bound is 0 where even Ŝ = 1 is compatible with ½ (three trials or fewer).
+    ``inf`` ("not reached") if the curve, or its bound, never falls to ½. The lower bound is 0 if
+    even Ŝ = 1 is compatible with ½ (three trials or fewer).
 
     Source: Brookmeyer & Crowley, Biometrics 38 (1982).
 
@@ -145,12 +145,12 @@ def restricted_mean(
 
     μ̂ = ∫₀^τ Ŝ(t) dt,   Var μ̂ = n/(n-1) Σ_i (∫_{t_i}^τ Ŝ)² d_i / (n_i (n_i - d_i))
 
-    Where trials are censored at τ only, as a cap does it, these are exactly the mean and
-    s/√n of min(T, τ). The error of a single trial is NaN.
+    If trials are censored only at τ, as with a cap, these are exactly the mean and s/√n of
+    min(T, τ). The error of a single trial is NaN.
 
     Raises:
-        ValueError: as :func:`kaplan_meier`; a ``horizon`` τ that is not positive, or beyond the
-            last duration while trials were censored there (Ŝ is unknown from there on).
+        ValueError: as :func:`kaplan_meier`; a ``horizon`` τ that is not positive, or that exceeds
+            the last duration although trials were censored there (Ŝ is unknown after it).
 
     Source: Royston & Parmar, BMC Medical Research Methodology 13 (2013).
 
@@ -165,7 +165,7 @@ def restricted_mean(
         raise ValueError(f"horizon={horizon}: trials are followed only until {t.max():g}")
     t, e = np.minimum(t, horizon), e & (t <= horizon)
     if e.all() or t[~e].min() >= horizon:
-        # No censoring before the horizon: the plain mean, without the rounding of the integral.
+        # No censoring before the horizon: the plain mean avoids the rounding of the integral.
         error = t.std(ddof=1) / np.sqrt(len(t)) if len(t) > 1 else np.nan
         return float(t.mean()), float(error)
     curve = kaplan_meier(t, e)
@@ -185,13 +185,13 @@ def expected_running_time(
     level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> Estimate:
-    """ERT: iterations until the first success, expected when failed trials are restarted.
+    """ERT: expected iterations until the first success if failed trials are restarted.
 
-    ERT = Σ_i duration_i / #{converged}, over all trials, failed ones with their whole cap
+    ERT = Σ_i duration_i / #{converged}, over all trials; failed trials count with the cap
 
-    With bootstrap interval over trials: ``inf`` where none converged, and as upper bound where too
-    many resamples contain no converged trial. Where none converged resampling cannot see a finite
-    time, and the lower bound is mean duration / Wilson's upper bound of the pass rate.
+    The interval is a bootstrap over trials. The upper bound is ``inf`` if too many resamples
+    contain no converged trial. If no trial converged, the estimate is ``inf``, and the lower bound
+    is mean duration / Wilson's upper bound of the pass rate, since resampling cannot give one.
 
     Raises:
         ValueError: as :func:`kaplan_meier`.
@@ -217,15 +217,15 @@ def expected_running_time(
 def logrank_test(t_a: ArrayLike, e_a: ArrayLike, t_b: ArrayLike, e_b: ArrayLike) -> float:
     """Two-sided log-rank p-value of H0: both samples have the same survival curve.
 
-    Treats the samples as independent; on positively correlated pairs it is conservative. Two
-    samples without any converged trial have the same (constant) curve: p = 1.
+    Treats the samples as independent; for positively correlated pairs it is conservative. If no
+    trial converged in either sample, the curves are equal (constant) and p = 1.
 
     Source: Mantel, Cancer Chemotherapy Reports 50 (1966); ``scipy.stats.logrank``.
 
     """
     t = [np.asarray(x, dtype=np.float64) for x in (t_a, t_b)]
     e = [np.asarray(x, dtype=bool) for x in (e_a, e_b)]
-    # Nothing to rank either where all trials converge at one and the same time.
+    # There is also nothing to rank if all trials converge at the same time.
     informative = np.concatenate(t)[np.concatenate(e)]
     if len(informative) == 0 or not _varies(t[0], t[1], informative):
         return 1.0
@@ -243,14 +243,14 @@ def probability_faster(
 ) -> Estimate:
     """P(T_a < T_b) + ½ P(T_a = T_b): the chance that a converges first.
 
-    A trial that does not converge is later than every one that does, also than one that
-    converges at the very cap; two that do not converge are tied. Paired: the share over the
-    pairs (same seed and trial). Unpaired: the share over all n_a · n_b combinations
-    (Mann-Whitney). The interval is Wilson's with n = number of pairs, or min(n_a, n_b): the
-    variance of either estimator is at most p(1 - p) / n, so that the interval is conservative.
+    A trial that does not converge is later than every trial that does, even one that converges at
+    the cap; two trials that do not converge are tied. Paired: the share over the pairs (same seed
+    and trial). Unpaired: the share over all n_a · n_b combinations (Mann-Whitney). The interval is
+    Wilson's with n = number of pairs, or min(n_a, n_b). The variance of either estimator is at
+    most p(1 - p) / n, so the interval is conservative.
 
     Raises:
-        ValueError: an empty sample, or unequal numbers where paired.
+        ValueError: an empty sample, or unequal lengths if paired.
 
     Source: Birnbaum & Klose, Annals of Mathematical Statistics 28 (1957) for the bound.
 
@@ -278,7 +278,7 @@ def _censored(t: NDArray[np.float64], converged: NDArray[np.bool_]) -> stats.Cen
 
 
 def _varies(t_a: np.ndarray, t_b: np.ndarray, events: np.ndarray) -> bool:
-    """Whether at some event time both samples are at risk and not all of them converge."""
+    """Whether, at some event time, both samples are at risk and not all trials converge."""
     common = events[(events <= t_a.max()) & (events <= t_b.max())]
     both = np.concatenate([t_a, t_b])
     return any((both >= s).sum() > (events == s).sum() for s in np.unique(common))

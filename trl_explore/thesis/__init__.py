@@ -1,14 +1,14 @@
-"""The statements of the thesis, each with the test that decides it.
+"""The statements of the thesis, and the test that decides each one.
 
-``study``   the data, as claims ask for them
-``rules``   verdicts, and how intervals and tests reach them
-``shares``  procedures on shares of trials; ``means``  on means and other statistics
+``study``   access to the data of the experiments
+``rules``   verdicts from intervals and tests
+``shares``  decisions on shares of trials; ``means`` on means and other statistics
 ``claims``  the table of statements
-``why``     which of them remain when the gradient is corrected
+``why``     which statements remain true when the gradient is corrected
 
-A new claim is one more entry in ``claims`` (and, where no procedure fits, one more function). Each
-verdict stands at the level of its study by itself; with some thirty claims at 95 %, one wrong
-verdict among them would be no surprise.
+To add a claim, add an entry to ``claims`` (and a decision function if none fits). Each verdict has
+the confidence level of the study, without correction across claims: among about thirty claims at
+95 %, one wrong verdict is to be expected.
 """
 
 from __future__ import annotations

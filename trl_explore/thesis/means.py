@@ -1,6 +1,6 @@
-"""Procedures on means and other statistics: permutation tests and bootstrap intervals.
+"""Decisions on means and other statistics, by permutation test and bootstrap interval.
 
-A function that returns a :data:`UnitDecision` serves several claims of one shape.
+Functions that return a :data:`UnitDecision` are shared by similar claims.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from trl_explore.thesis.shares import DECAY, decay_grid
 from trl_explore.thesis.study import NotMeasuredError, Sample, Study
 
 TEMPERATURE = 1.0
-"""The thesis's."""
+"""The temperature of the thesis."""
 NEGLIGIBLE = 0.05
 DRASTICALLY = 0.5
-# With fewer, the bootstrap of a mean, a ratio, a spread or a skewness says little about its error.
+# With fewer trials, a bootstrap interval is unreliable.
 MIN_FOR_BOOTSTRAP = 8
 
 
 def samples(study: Study, strategies: Iterable[str], unit: str) -> dict[str, Sample]:
-    """One quantity of each of the strategies."""
+    """One quantity of each strategy."""
     return {name: study.sample(study.strategy(name), unit) for name in strategies}
 
 
@@ -46,7 +46,7 @@ def least(strategy: str, *, converging: bool = False) -> UnitDecision:
 
     Args:
         strategy: its name.
-        converging: only over the trials that converge, of the strategies that converge at all.
+        converging: use only trials that converge, and strategies with at least one.
 
     """
 
@@ -66,7 +66,7 @@ def least(strategy: str, *, converging: bool = False) -> UnitDecision:
 
 
 def most(strategy: str, *others: str) -> UnitDecision:
-    """mean(strategy) > mean(other) for each of the others."""
+    """mean(strategy) > mean(other) for each of ``others``."""
 
     def decide(study: Study, rng: np.random.Generator, unit: str) -> Finding:
         worst, *rest = samples(study, (strategy, *others), unit).values()
@@ -91,14 +91,14 @@ def decaying_beats_constant(study: Study, rng: np.random.Generator, unit: str) -
 
 
 def argmax_long_when_it_passes(study: Study, rng: np.random.Generator, unit: str) -> Finding:
-    """mean(failing argmax trials) < mean(passing ones)."""
+    """mean(failing argmax trials) < mean(passing argmax trials)."""
     s = study.sample(study.strategy("argmax"), unit)
     failing = s.only(~s.converged, "failing argmax")
     return smaller(study, rng, [(failing, s.only(s.converged, "passing argmax"))])
 
 
 def strategies_matter(study: Study, rng: np.random.Generator) -> Finding:
-    """Any pair of strategies differs in its restricted mean (Holm)."""
+    """At least one pair of strategies differs in its restricted means (Holm)."""
     jobs = [study.strategy(name) for name in study.strategies]
     table = compare_all(jobs, rng, level=study.level, resamples=study.resamples)
     n, cap = table[0].n_a, table[0].cap
@@ -135,7 +135,7 @@ def random_averages_25(study: Study, rng: np.random.Generator) -> Finding:
         raise NotMeasuredError("a random trial has no final score")
 
     def estimate(level: float) -> Estimate:
-        # A bootstrap without width (equal scores) would be a certainty that a few trials lack.
+        # With few equal scores the bootstrap interval would have no width.
         e = bootstrap(mean, [score], rng, level=level, resamples=study.resamples)
         enough = len(score) >= MIN_FOR_BOOTSTRAP
         return e if enough else Estimate(e.value, np.nan, np.nan, level)
@@ -217,7 +217,7 @@ def _bootstrapped(
     study: Study,
     rng: np.random.Generator,
 ) -> rules.Rule:
-    """The bootstrap interval of a statistic lies within ``bounds``; open with few trials."""
+    """The bootstrap interval of a statistic lies within ``bounds``; open with too few trials."""
     n = min(len(a) for a in arrays)
     if n < MIN_FOR_BOOTSTRAP:
         text = f"{what}: {n} trials, at least {MIN_FOR_BOOTSTRAP} are needed"
@@ -242,6 +242,6 @@ def _ratio_of_means(x: np.ndarray, y: np.ndarray) -> Any:
 def _skewness(x: np.ndarray) -> Any:
     d = x - x.mean(axis=-1, keepdims=True)
     m2, m3 = (d**2).mean(axis=-1), (d**3).mean(axis=-1)
-    # Equal values have no skewness (NaN); they leave a rounding error in m2, not 0.
+    # Equal values have no skewness (NaN), but rounding makes m2 nonzero.
     flat = m2 <= (1e-12 * x.mean(axis=-1)) ** 2
     return np.where(flat, np.nan, m3 / np.where(flat, 1.0, m2) ** 1.5)

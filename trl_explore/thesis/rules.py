@@ -1,16 +1,16 @@
-"""Verdicts, and the rules that reach them: each turns an interval or a test into a finding.
+"""Rules that turn an interval or a test into a verdict.
 
-Words of the thesis, and what they are taken to mean for the probability p that a trial passes:
+Words of the thesis, and their meaning for the probability p that a trial passes:
 
-    never, always, all        no exception among the trials, and p certainly within 5 % of it
+    never, always, all        no exception among the trials, and the interval of p within 5 % of it
     consistently              p > 90 %
     almost consistently,
     almost every time         p > 80 %
     mostly, most of the time  p > 50 %
 
-Each claim is decided at the stated level by itself. A claim of several parts holds where every part
-holds at that level (an intersection-union test, which needs no correction), and fails where
-one of its k parts fails at 1 - (1 - level)/k (Bonferroni).
+Each claim is decided separately at the given level. A claim of several parts holds if every part
+holds at that level (an intersection-union test, which needs no correction), and fails if one of its
+k parts fails at 1 - (1 - level)/k (Bonferroni).
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ class Finding:
     Attributes:
         verdict: ``holds``, ``does not hold``, ``open`` (these data decide neither), or
             ``not measured``.
-        evidence: the numbers, intervals and tests that the verdict follows from.
-        trials_needed: of an open claim: trials per configuration that would settle it with
-            80 % power if the present estimates were the truth; None where not computable.
-            Of claims about the trials that converge, it counts those only.
+        evidence: the numbers, intervals and tests that lead to the verdict.
+        trials_needed: for an open claim, trials per configuration that would settle it with
+            80 % power if the current estimates were exact; None if not computable. For claims
+            about the trials that converge, only those are counted.
 
     """
 
@@ -60,11 +60,11 @@ class Finding:
 
 
 Rule = Callable[[float], Finding]
-"""Confidence level to finding."""
+"""Confidence level -> finding."""
 Decision = Callable[[Study, np.random.Generator], Finding]
-"""Study and generator to finding; may raise :class:`NotMeasuredError`."""
+"""(Study, generator) -> finding; may raise :class:`NotMeasuredError`."""
 UnitDecision = Callable[[Study, np.random.Generator, str], Finding]
-"""The same, given also the unit: ``iterations``, ``frames`` or ``s``."""
+"""The same with a unit as third argument: ``iterations``, ``frames`` or ``s``."""
 
 
 def share(
@@ -72,7 +72,7 @@ def share(
 ) -> Rule:
     """Share of trials p > ``above``, or p < ``below``, by Wilson's interval.
 
-    ``what`` continues "28 of 30", as in "softmax trials pass".
+    ``what`` follows the count in the evidence: "28 of 30 *softmax trials pass*".
     """
     if above is None:
         assert below is not None
@@ -86,19 +86,19 @@ def passing(o: Outcomes, what: str, **bound: float) -> Rule:
 
 
 def never(count: int, n: int, what: str) -> Rule:
-    """No trial does ``what``: one refutes it; it holds with none and Wilson's bound < 5 %."""
+    """No trial does ``what``: fails with one; holds with none and Wilson's upper bound < 5 %."""
     return _rate(count, n, what, NEVER, lambda p: decided(count == 0 and p.below(NEVER), count > 0))
 
 
 def some(count: int, n: int, what: str) -> Rule:
-    """At least one trial does ``what``: the contrary of :func:`never`."""
+    """At least one trial does ``what``: the negation of :func:`never`."""
     return contrary(never(count, n, what))
 
 
 def mean_less(
     a: Sample, b: Sample, rng: np.random.Generator, *, resamples: int = RESAMPLES
 ) -> Rule:
-    """mean(a) < mean(b): bootstrap interval and permutation test both, on pairs where there are."""
+    """mean(a) < mean(b), by both bootstrap interval and permutation test; paired if possible."""
 
     def rule(level: float) -> Finding:
         if min(len(a), len(b)) == 0:
@@ -121,9 +121,9 @@ def mean_less(
 def within(
     estimate: Callable[[float], Estimate], n: int, low: float, high: float, what: str
 ) -> Rule:
-    """θ in [low, high]: holds where its interval lies inside, fails where it lies outside.
+    """θ in [low, high]: holds if its interval lies inside, fails if it lies outside.
 
-    Half-lines (``low`` = -inf) are allowed. ``n`` is the number of trials behind the estimate.
+    One bound may be infinite. ``n`` is the number of trials of the estimate.
     """
 
     def rule(level: float) -> Finding:
@@ -138,7 +138,7 @@ def within(
 
 
 def all_of(rules: Sequence[Rule], level: float) -> Finding:
-    """Conjunction: see the module's text. The evidence names the parts that decide."""
+    """Conjunction, as described in the module; the evidence is that of the deciding parts."""
     findings = [rule(level) for rule in rules]
     if len(rules) == 1:
         return findings[0]
@@ -147,7 +147,7 @@ def all_of(rules: Sequence[Rule], level: float) -> Finding:
         return Finding(FAILS, _join([f.evidence for f in strict if f.verdict == FAILS]))
     if all(f.verdict == HOLDS for f in findings):
         return Finding(HOLDS, _join([f.evidence for f in findings]))
-    # A part that fails only without the correction is as open as one that is undecided.
+    # A part that fails only without the correction is open.
     undecided = [
         f if f.verdict == OPEN else s
         for f, s in zip(findings, strict, strict=True)
@@ -160,20 +160,20 @@ def all_of(rules: Sequence[Rule], level: float) -> Finding:
 
 
 def any_of(rules: Sequence[Rule]) -> Rule:
-    """Disjunction: holds where one part holds after Bonferroni, fails where every part fails."""
+    """Disjunction: holds if one part holds after Bonferroni, fails if every part fails."""
     return contrary(lambda level: all_of([contrary(rule) for rule in rules], level))
 
 
 def in_iterations(decide: UnitDecision) -> Decision:
-    """Decide by iterations, restricted to the cap."""
+    """Decide in iterations, restricted to the cap."""
     return lambda study, rng: decide(study, rng, "iterations")
 
 
 def in_seconds(decide: UnitDecision) -> Decision:
-    """Decide by seconds; the evidence adds what frames, free of the machine, would say.
+    """Decide in seconds; the evidence adds the verdict in frames, which is machine-independent.
 
-    Without seconds the verdict is ``not measured``; frames do not replace them, since an
-    iteration costs time beside its frames.
+    Without seconds the verdict is ``not measured``. Frames cannot replace seconds, because an
+    iteration also has a fixed cost.
     """
 
     def both(study: Study, rng: np.random.Generator) -> Finding:
@@ -190,7 +190,7 @@ def in_seconds(decide: UnitDecision) -> Decision:
 
 
 def align(a: Sample, b: Sample) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Values of the trials both have, as pairs; without common trials all values, unpaired."""
+    """Values of the common trials, as pairs; all values, unpaired, if there are none."""
     i, j = common(a.keys, b.keys)
     if len(i) == 0:
         return a.values, b.values, False
@@ -198,7 +198,7 @@ def align(a: Sample, b: Sample) -> tuple[np.ndarray, np.ndarray, bool]:
 
 
 def decided(holds: bool, fails: bool) -> Verdict:
-    """Verdict from two exclusive conditions; neither: open."""
+    """Verdict from two exclusive conditions; open if neither is true."""
     return HOLDS if holds else FAILS if fails else OPEN
 
 
@@ -233,7 +233,7 @@ def _digits(size: float) -> int:
 
 
 def contrary(rule: Rule) -> Rule:
-    """The negation: what holds fails, what fails holds, what is open stays open."""
+    """Negation: swaps ``holds`` and ``does not hold``; other verdicts stay."""
     swapped: dict[Verdict, Verdict] = {HOLDS: FAILS, FAILS: HOLDS}
 
     def negated(level: float) -> Finding:
@@ -257,10 +257,10 @@ def _rate(
 
 
 def more(verdict: Verdict, needed: int | None, n: int) -> int | None:
-    """Trials that an open claim needs: ``needed``, but more than the ``n`` there are."""
+    """Trials that an open claim needs: ``needed``, but at least n + 1."""
     if verdict != OPEN or needed is None:
         return None
-    # The approximation may promise fewer than there are; those did not settle it.
+    # The approximation may give fewer than n, but n trials did not settle the claim.
     return max(needed, n + 1)
 
 

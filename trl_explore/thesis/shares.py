@@ -1,6 +1,6 @@
-"""Procedures on shares: in how many trials something happens, by Wilson's interval.
+"""Decisions on shares of trials, by Wilson's interval.
 
-A function that returns a :data:`Decision` serves several claims of one shape.
+Functions that return a :data:`Decision` are shared by similar claims.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from trl_explore.thesis.rules import OPEN, Decision, Finding
 from trl_explore.thesis.study import CAPS, NotMeasuredError, Study
 
 EPSILON, DECAY = 0.3, 0.99
-"""The thesis's parameters."""
+"""The parameters of the thesis."""
 EARLY = 450
 
 
 def pass_rates(*strategies: str, **bound: float) -> Decision:
-    """The pass rate of each of the strategies is p > ``above``, or p < ``below``."""
+    """The pass rate of each strategy is p > ``above``, or p < ``below``."""
     return lambda study, rng: all_passing(
         study,
         {f"{strategy_label(name)} trials pass": study.strategy(name) for name in strategies},
@@ -35,7 +35,7 @@ def pass_rates(*strategies: str, **bound: float) -> Decision:
 
 
 def all_passing(study: Study, jobs: Mapping[str, Outcomes], **bound: float) -> Finding:
-    """The same for each configuration; the keys read "softmax trials pass"."""
+    """The same for each configuration; keys are phrases like "softmax trials pass"."""
     return rules.all_of([rules.passing(o, what, **bound) for what, o in jobs.items()], study.level)
 
 
@@ -87,7 +87,7 @@ def only_one_epsilon_passes(study: Study, rng: np.random.Generator) -> Finding:
 
 
 def decay_grid(study: Study) -> dict[float, Outcomes]:
-    """The grid of decay rates, which must have the thesis's and another one."""
+    """The grid of decay rates, with the thesis's rate and at least one other."""
     grid = study.grid("decay_grid", "decay")
     if DECAY not in grid or len(grid) < 2:
         raise NotMeasuredError(f"the decay grid needs {DECAY} and at least one other rate")
@@ -112,8 +112,8 @@ def best_rate_always_passes(study: Study, rng: np.random.Generator) -> Finding:
 def late_trials_never_converge(study: Study, rng: np.random.Generator) -> Finding:
     """P(converges by 5000 | not converged at 1000) < ½ over all rates of the decay grid.
 
-    The rates share their trials, so that their runs are not independent evidence. The interval
-    is that of Kish's effective number of trials, (Σ m)² / Σ m² for trials with m pending runs.
+    The rates share trials, so their runs are not independent. The interval uses Kish's effective
+    number of trials, (Σ m)² / Σ m² for trials with m pending runs.
     """
     grid = decay_grid(study)
     late, runs = 0, Counter[tuple[int, int]]()
@@ -128,7 +128,7 @@ def late_trials_never_converge(study: Study, rng: np.random.Generator) -> Findin
     finding = rules.share(late / total * n, n, "runs", below=rules.MOSTLY)(study.level)
     needed = finding.trials_needed
     if needed is not None:
-        # Only trials that are still running at 1000 count, and not all of them fully.
+        # Only trials that are still running at 1000 count, by their effective number.
         needed = -(-needed * max(len(o) for o in grid.values()) // n)
     text = (
         f"{late} of {total} runs unconverged at {CAPS['thesis']} converge later:"
@@ -149,7 +149,7 @@ def argmax_needs_450(study: Study, rng: np.random.Generator) -> Finding:
     finding = rules.never(early, len(passed), what)(study.level)
     needed = finding.trials_needed
     if needed is not None:
-        # Only trials that pass count: a trial is worth the present pass rate of one.
+        # Only trials that pass count: divide by the current pass rate.
         needed = -(-needed * len(o) // len(passed))
     text = f"{finding.evidence}; the fastest takes {passed.min()}"
     return Finding(finding.verdict, text, needed)
@@ -164,7 +164,7 @@ def random_scores_between(study: Study, rng: np.random.Generator) -> Finding:
 
 
 def softmax_performs_best(study: Study, rng: np.random.Generator) -> Finding:
-    """P(softmax converges first) > ½ against each of the other strategies."""
+    """P(softmax converges first) > ½ against every other strategy."""
     best = study.strategy("softmax")
     others = [study.strategy(name) for name in study.strategies if name != "softmax"]
     return rules.all_of([_faster(best, o) for o in others], study.level)

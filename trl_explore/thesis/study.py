@@ -1,4 +1,4 @@
-"""The data of a study, as the claims ask for them."""
+"""The data of a study, with the queries that claims need."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PARAMETERS: Mapping[str, Mapping[str, float]] = {
 
 
 class NotMeasuredError(ValueError):
-    """The data that a claim needs are missing, or measured under other conditions."""
+    """The data for a claim are missing, or were measured under other conditions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +39,11 @@ class Sample:
     """One measured quantity of the trials of one configuration.
 
     Attributes:
-        label: name of the configuration in evidence.
+        label: name of the configuration in the evidence.
         unit: ``iterations``, ``frames`` or ``s``.
         values: [n].
         converged: [n].
-        keys: (seed, trial) of each, which makes pairs.
+        keys: (seed, trial) of each value; equal keys form pairs.
 
     """
 
@@ -65,21 +65,21 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """All configurations that were measured, by experiment.
+    """The outcomes of all experiments.
 
-    A job counts for a claim only under the conditions of the thesis (cap, threshold, window,
-    stopped by training scores, environment, the strategy's parameters); others are ``not
+    A claim uses only jobs under the conditions of the thesis (cap, threshold, window, stopping by
+    training scores, environment, parameters of the strategy). With other jobs it is ``not
     measured``, with the reason.
 
     Attributes:
         outcomes: one entry per job, of any experiments.
-        seconds: wall time of trials run by themselves, ``experiment/name`` -> array [n].
-        timed_trials: ``experiment/name`` -> trial index of each entry of ``seconds`` [n]; without
-            it the entries are the first n trials of the configuration, in order.
+        seconds: wall time of trials run alone, ``experiment/name`` -> array [n].
+        timed_trials: ``experiment/name`` -> trial index of each entry of ``seconds`` [n]; by
+            default, the first n trials of the configuration, in order.
         level: confidence level of every verdict.
-        resamples: of every bootstrap and permutation test.
-        strategies: those that a claim about all strategies is about.
-        places: experiments that others replace, name -> replacement.
+        resamples: number of resamples of every bootstrap and permutation test.
+        strategies: the strategies meant by claims about all strategies.
+        places: name of an experiment -> name of the experiment that replaces it.
 
     """
 
@@ -94,9 +94,9 @@ class Study:
     def under(self, correction: str) -> Study:
         """The study in which the experiments with corrections replace those without.
 
-        ``corrections`` replaces ``thesis`` (without random, whose actions tell nothing of what was
-        learned), ``corrections_temperature`` replaces ``temperature_grid``. ``correction`` is the
-        name of a class; ``NoCorrection`` is the thesis's way, on the same trials.
+        ``corrections`` replaces ``thesis`` (without random, whose actions do not depend on what
+        was learned); ``corrections_temperature`` replaces ``temperature_grid``. ``correction`` is
+        the name of a class; ``NoCorrection`` is what the thesis did, on the same trials.
         """
         places = {"thesis": "corrections", "temperature_grid": "corrections_temperature"}
         chosen = [
@@ -111,7 +111,7 @@ class Study:
         """List the jobs of an experiment; trials that two jobs share count once.
 
         Raises:
-            NotMeasuredError: there are none, or one contains a trial twice.
+            NotMeasuredError: there are no jobs, or a job contains a trial twice.
 
         """
         name = self.places.get(name, name)
@@ -124,7 +124,7 @@ class Study:
         return jobs
 
     def strategy(self, name: str, experiment: str = "thesis") -> Outcomes:
-        """One strategy of an experiment with the thesis's parameters, its seeds pooled.
+        """One strategy of an experiment with the thesis's parameters; seeds are pooled.
 
         Raises:
             NotMeasuredError: it was not run, or only with other parameters or conditions.
@@ -172,7 +172,7 @@ class Study:
         for job in self.experiment(experiment):
             value = job.parameters.get(parameter)
             if isinstance(value, int | float):
-                # A grid made by arithmetic has 0.30000000000000004.
+                # A computed grid may contain 0.30000000000000004.
                 by_value.setdefault(round(float(value), 9), []).append(job)
         for value, jobs in by_value.items():
             if len({configuration_key(o) for o in jobs}) > 1:
@@ -185,7 +185,7 @@ class Study:
         """Take the iterations (restricted to the cap), frames, or seconds of a configuration.
 
         Raises:
-            NotMeasuredError: seconds that were not measured or do not fit the trials.
+            NotMeasuredError: seconds were not measured or do not match the trials.
 
         """
         name = label or strategy_label(outcomes.strategy)
@@ -203,7 +203,7 @@ class Study:
         key = f"{outcomes.experiment}/{outcomes.name}"
         if key not in self.seconds:
             raise NotMeasuredError(
-                f"no trial of {strategy_label(outcomes.strategy)} was timed by itself"
+                f"no trial of {strategy_label(outcomes.strategy)} was timed alone"
             )
         values = np.asarray(self.seconds[key], dtype=np.float64)
         trials = self.timed_trials.get(key)
@@ -215,7 +215,7 @@ class Study:
         fits = len(where) == len(values) > 0 and (where >= 0).all() and len(values) <= len(outcomes)
         if not fits or not np.isfinite(values).all():
             raise NotMeasuredError(
-                f"the timed trials of {strategy_label(outcomes.strategy)} do not fit its trials"
+                f"the timed trials of {strategy_label(outcomes.strategy)} do not match its trials"
             )
         return values, where
 

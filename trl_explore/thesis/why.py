@@ -1,8 +1,8 @@
-"""Why: which conclusions remain when the gradient is corrected for what the data are.
+"""Which of the thesis's conclusions remain when the off-policy bias of the gradient is corrected.
 
-Under argmax, ε-greedy or a temperature other than 1 the actions come from μ and the gradient is
-taken as if they came from π. The experiments ``corrections`` and ``corrections_temperature``
-repeat the comparison with the ratio π/μ in the loss, on the same seeds.
+Under argmax, ε-greedy or a temperature other than 1, actions are drawn from μ but the gradient is
+computed as if they came from π. The experiments ``corrections`` and ``corrections_temperature``
+repeat the comparison with corrections in the loss, such as the ratio π/μ, on the same seeds.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ CONCLUSIONS: tuple[Claim, ...] = tuple(
         "outlook.temperature_improves",
     }
 )
-"""The thesis's statements that can be asked again under a correction."""
+"""The thesis's statements that can be tested again under a correction."""
 
 
 @dataclass(frozen=True)
 class Reexamined:
-    """A statement of the thesis, decided without and with the correction on the same trials."""
+    """A statement of the thesis, decided without and with correction on the same trials."""
 
     claim: Claim
     plain: Finding
@@ -56,7 +56,7 @@ class Reexamined:
 
     @property
     def outcome(self) -> str:
-        """What becomes of the statement when the bias is removed."""
+        """Effect of the correction on the verdict."""
         for undecided in (NOT_MEASURED, OPEN):
             if undecided in (self.plain.verdict, self.corrected.verdict):
                 return undecided
@@ -68,12 +68,12 @@ class Reexamined:
 def reexamine(
     study: Study, plain: np.random.Generator, corrected: np.random.Generator
 ) -> list[Reexamined]:
-    """Decide every one of ``CONCLUSIONS`` twice, with the very tests used for the thesis.
+    """Decide each of ``CONCLUSIONS`` twice, with the same test as for the thesis.
 
     Args:
-        study: with the experiments ``corrections`` and ``corrections_temperature``.
+        study: study with the experiments ``corrections`` and ``corrections_temperature``.
         plain: source of the resampling for the verdicts without correction.
-        corrected: the same for those with the per-step ratio.
+        corrected: source of the resampling for the verdicts with the per-step ratio.
 
     """
     without, under = (
@@ -84,7 +84,7 @@ def reexamine(
 
 
 def mostly_bias(strategy: str) -> Decision:
-    """E[T_uncorrected − T_softmax] > 2 E[T_ratio − T_softmax], of min(T, cap), on pairs."""
+    """E[T_uncorrected − T_softmax] > 2 E[T_ratio − T_softmax] for min(T, cap), on pairs."""
 
     def decide(study: Study, rng: np.random.Generator) -> Finding:
         jobs = study.choices("corrections", strategy, "correction")
@@ -125,7 +125,7 @@ def variance_costs_more(study: Study, rng: np.random.Generator) -> Finding:
 
 
 def hot_softmax_repaired(study: Study, rng: np.random.Generator) -> Finding:
-    """p(T = 1.5 passes) < 5 % without the ratio, with no exception, and > 90 % with it."""
+    """At T = 1.5, p(pass) < 5 % and no trial passes without the ratio; p(pass) > 90 % with it."""
     parts = []
     for correction in (PLAIN, RATIO):
         grid = study.under(correction).grid("temperature_grid", "temperature")
@@ -141,7 +141,7 @@ def hot_softmax_repaired(study: Study, rng: np.random.Generator) -> Finding:
 
 
 def every_temperature_serves(study: Study, rng: np.random.Generator) -> Finding:
-    """The pass rate is p > 90 % at every temperature with the gradient of μ."""
+    """With the gradient of μ, the pass rate is p > 90 % at every temperature."""
     grid = study.under("Behaviour").grid("temperature_grid", "temperature")
     passing = {f"trials pass at T = {t:g}": o for t, o in grid.items()}
     return all_passing(study, passing, above=rules.CONSISTENTLY)
@@ -155,10 +155,10 @@ def _need(jobs: dict[str, Outcomes], name: str, strategy: str) -> Outcomes:
 
 
 def _excess(a: Sample, b: Sample, label: str) -> Sample:
-    """Take a − b on the trials that both have.
+    """Take a − b on the common trials.
 
     Raises:
-        NotMeasuredError: they have none in common.
+        NotMeasuredError: there are no common trials.
 
     """
     i, j = common(a.keys, b.keys)
@@ -171,60 +171,60 @@ def _excess(a: Sample, b: Sample, label: str) -> Sample:
 CLAIMS = (
     Claim(
         id="why.epsilon_greedy_mostly_bias",
-        statement="Most of what ε-greedy takes longer than softmax is the bias of its gradient, not"
-        " its exploration.",
+        statement="Most of the extra iterations of ε-greedy over softmax come from the bias of its"
+        " gradient, not from its exploration.",
         place="experiment corrections",
-        definition="Its mean excess of iterations over softmax (restricted to the cap, same seed"
-        " and trial) falls by more than half when each action is weighted with π/μ: twice the"
-        " excess with the ratio is smaller than the excess without (paired bootstrap interval and"
-        " sign-flip test).",
+        definition="The mean excess of its iterations over those of softmax (restricted to the cap,"
+        " same seed and trial) falls by more than half when each action is weighted by π/μ: twice"
+        " the excess with the ratio is smaller than the excess without it (paired bootstrap"
+        " interval and sign-flip test).",
         decide=mostly_bias("epsilon_greedy"),
     ),
     Claim(
         id="why.decaying_mostly_bias",
-        statement="Most of what decaying ε-greedy takes longer than softmax is the bias of its"
-        " gradient.",
+        statement="Most of the extra iterations of decaying ε-greedy over softmax come from the"
+        " bias of its gradient.",
         place="experiment corrections",
         definition="As for ε-greedy.",
         decide=mostly_bias("decaying_epsilon_greedy"),
     ),
     Claim(
         id="why.argmax_beyond_repair",
-        statement="No correction repairs argmax.",
+        statement="No correction makes argmax pass almost every time.",
         place="experiment corrections",
-        definition="Under every correction, argmax passes in less than 80 % of trials (Wilson"
+        definition="Argmax passes in less than 80 % of trials under every correction (Wilson"
         " intervals).",
         decide=argmax_beyond_repair,
     ),
     Claim(
         id="why.variance_costs_more",
-        statement="What removes the bias entirely costs more than it gains: with per-decision or"
-        " trajectory weights both ε-greedy strategies take longer than with the mere ratio.",
+        statement="Removing the bias entirely costs more than it gains: with per-decision or"
+        " trajectory weights, both ε-greedy strategies take longer than with the per-step ratio.",
         place="experiment corrections",
         definition="The mean number of iterations, restricted to the cap, is smaller with the"
-        " per-step ratio than with either of the unbiased weights, for both strategies (paired"
+        " per-step ratio than with either kind of unbiased weights, for both strategies (paired"
         " bootstrap interval and sign-flip test).",
         decide=variance_costs_more,
     ),
     Claim(
         id="why.hot_softmax_repaired",
-        statement="A softmax at temperature 1.5 never passes without correction, and consistently"
-        " with the per-step ratio.",
+        statement="Softmax at temperature 1.5 never passes without correction, and passes"
+        " consistently with the per-step ratio.",
         place="experiment corrections_temperature",
-        definition="Without, no trial passes, and the Wilson interval ends below 5 %; with the"
-        " ratio, more than 90 % pass.",
+        definition="Without correction, no trial passes and the Wilson interval of the pass rate"
+        " ends below 5 %. With the ratio, more than 90 % pass.",
         decide=hot_softmax_repaired,
     ),
     Claim(
         id="why.every_temperature_serves",
-        statement="With the gradient of μ itself, softmax passes consistently at every temperature"
+        statement="With the gradient of μ, softmax passes consistently at every temperature"
         " of the grid.",
         place="experiment corrections_temperature",
         definition="More than 90 % of trials pass at each temperature (Wilson intervals).",
         decide=every_temperature_serves,
     ),
 )
-"""Statements about the cause, beyond the thesis."""
+"""Statements about the cause, which the thesis does not make."""
 
 BIAS = ("why.epsilon_greedy_mostly_bias", "why.decaying_mostly_bias")
-"""The statements on how much of a difference is the bias of the gradient."""
+"""The statements on how much of a difference the bias of the gradient explains."""

@@ -1,4 +1,4 @@
-"""The figures: one file for each, which says when it applies, draws it, and captions it.
+"""The figures of the report; each file holds the condition, the drawing and the caption.
 
 A new figure is one file and one line in ``KINDS``.
 """
@@ -44,12 +44,12 @@ KINDS: tuple[Kind, ...] = (
     *recorded.DIAGNOSTIC_KINDS,
     recorded.ENTROPY,
 )
-"""In the order of a section of the report."""
+"""In the order in which a section shows them."""
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure of the report; ``thesis`` is its number in the thesis, if it has one."""
+    """A figure of the report; ``thesis`` is the number of the same figure there, if it exists."""
 
     id: str
     kind: Kind

@@ -1,4 +1,4 @@
-"""What several figures share: sizes, ticks, labels and legends."""
+"""Sizes, ticks, labels and legends that several figures share."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def new_figure(height: float) -> Figure:
 
 
 def spans_much(values: Sequence[ArrayLike]) -> bool:
-    """Whether positive values ask for a logarithmic axis."""
+    """Whether values are all positive and span enough for a logarithmic axis."""
     flat = np.concatenate([np.asarray(v, dtype=np.float64).ravel() for v in values])
     flat = flat[np.isfinite(flat)]
     return len(flat) > 0 and flat.min() > 0 and flat.max() / flat.min() > LOG_FROM
 
 
 def number(value: float) -> str:
-    """A number for a tick: 12,000 and 0.05, never 1e4."""
+    """A number as a tick label, without an exponent: 12,000 or 0.05."""
     if value and abs(value) < 1:
         return f"{value:.6f}".rstrip("0").rstrip(".")
     return f"{value:,.0f}" if float(value).is_integer() else f"{value:,g}"
@@ -57,19 +57,19 @@ def plain_numbers(axis: Any) -> None:
 
 
 def few_ticks(axis: Any) -> None:
-    """Fewer ticks, for a narrow panel; long numbers get fewer still."""
+    """Set fewer ticks for a narrow panel, and even fewer for long numbers."""
     longest = max(abs(value) for value in axis.get_view_interval())
     nbins = 3 if longest >= 5000 else 5
     axis.set_major_locator(MaxNLocator(nbins=nbins, steps=[1, 2, 2.5, 5, 10]))
 
 
 def wrapped(label: str, width: int = 21, lines: int = 3) -> str:
-    r"""A label in lines of at most so many characters; what does not fit in them is cut off.
+    r"""A label wrapped to at most ``lines`` lines of ``width`` characters; the rest is cut off.
 
     >>> wrapped("softmax, baseline = 20, lr = 0.05")
     'softmax,\nbaseline = 20,\nlr = 0.05'
     """
-    # A number stays with its name.
+    # No line break around an equals sign.
     kept = label.replace(" = ", "\u00a0=\u00a0")
     parts = textwrap.wrap(kept, width, break_long_words=True, break_on_hyphens=False)
     if len(parts) > lines:
@@ -78,7 +78,7 @@ def wrapped(label: str, width: int = 21, lines: int = 3) -> str:
 
 
 def line_count(label: str, width: int = 21) -> int:
-    """Into how many lines a label is wrapped."""
+    """Number of lines of the wrapped label."""
     return wrapped(label, width).count("\n") + 1
 
 
@@ -92,7 +92,7 @@ def handle(style: Style, label: str, *, line: bool = True) -> Line2D:
 def legend_above(
     ax: Axes, handles: Sequence[Line2D], columns: int, title: str | None = None
 ) -> None:
-    """A legend on top of the figure, where it cannot hide anything."""
+    """Draw a legend above the figure, where it covers nothing."""
     figure = ax.figure
     figure.legend(
         handles=list(handles),

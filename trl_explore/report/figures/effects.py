@@ -1,4 +1,4 @@
-"""Options of a group in blocks of rows: how many trials pass, and after how many iterations."""
+"""Pass rates and mean iterations of options, in blocks of rows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GAP = 0.9
 
 @dataclass(frozen=True)
 class Dot:
-    """One configuration: its block, its place in it, an estimate, and its look."""
+    """One configuration: its block, its place in the block, its estimate and its style."""
 
     block: int
     place: int
@@ -33,7 +33,7 @@ class Dot:
 
 
 def height(block: int, place: int, options: int) -> float:
-    """Where a configuration stands, from top to bottom.
+    """Vertical position of a configuration, from top to bottom.
 
     >>> height(1, 0, 4)
     4.9
@@ -44,7 +44,7 @@ def height(block: int, place: int, options: int) -> float:
 def plot_effects(
     ax: Axes, dots: Sequence[Dot], blocks: Sequence[str], options: int, *, quantity: str
 ) -> None:
-    """Draw each estimate with its interval, in named blocks of as many rows as options."""
+    """Draw each estimate with its interval, in named blocks with one row per option."""
     for dot in dots:
         y, e = height(dot.block, dot.place, options), dot.estimate
         if np.isfinite([e.low, e.high]).all():
@@ -65,7 +65,7 @@ def plot_effects(
 
 
 def _draw(e: GroupEvidence) -> Figure:
-    """Pass rate and mean iterations of a crossed group, with the options in blocks of rows."""
+    """Draw pass rate and mean iterations of a crossed group."""
     group, layout = e.group, e.group.crossed
     assert layout is not None
     z = float(stats.norm.ppf((1.0 + LEVEL) / 2.0))
@@ -94,9 +94,9 @@ def _caption(e: GroupEvidence) -> str:
     layout = e.group.crossed
     assert layout is not None
     return (
-        f"Left: share of {trials(e)} trials that pass, with Wilson intervals. Right: mean number"
-        f" of iterations, a trial that failed counted as {e.group.cap:,}, with intervals of"
-        f" {100 * LEVEL:g} %. Circles: {layout.options[0]}."
+        f"Left: share of {trials(e)} trials that pass. Right: mean number of iterations; failed"
+        f" trials count as {e.group.cap:,}. Bars: {100 * LEVEL:g} % intervals (left: Wilson;"
+        f" right: normal). Circles: {layout.options[0]}."
     )
 
 

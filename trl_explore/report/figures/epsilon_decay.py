@@ -1,4 +1,4 @@
-"""ε by iteration, for decaying rates: ε(i) = rate^i (figure 2.5 of the thesis)."""
+"""ε by iteration for several decay rates: ε(i) = rate^i (figure 2.5 of the thesis)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def plot_epsilon(
     iterations: int,
     emphasised: float | None = None,
 ) -> None:
-    """Draw ε(i) = rate^i, the share of actions drawn at random; the emphasised rate is thick."""
+    """Draw ε(i) = rate^i, the probability of a random action; ``emphasised`` gets a thick line."""
     i = np.arange(iterations + 1)
     every = max(1, iterations // MARKS)
     for k, (rate, style) in enumerate(zip(rates, styles, strict=True)):
@@ -46,7 +46,7 @@ def plot_epsilon(
 
 
 def _rates(e: GroupEvidence) -> dict[float, str]:
-    """The decay rates of a group's decaying strategy -> name of the configuration."""
+    """Decay rate -> name of the configuration, for decaying ε-greedy."""
     return {
         float(c.parameters["decay"]): c.name
         for c in e.group.configurations
@@ -70,8 +70,8 @@ EPSILON = Kind(
     lambda e: e.group.experiment == "decay_grid" and len(_rates(e)) > 0,
     _draw,
     lambda e: (
-        f"The share of actions drawn at random in each iteration. The thesis chose {CHOSEN}"
-        f" (thick), which halves ε every {np.log(0.5) / np.log(CHOSEN):.0f} iterations."
+        f"Probability of a random action in each iteration. The thesis chose {CHOSEN}"
+        f" (thick line), which halves ε every {np.log(0.5) / np.log(CHOSEN):.0f} iterations."
     ),
     thesis={"decay_grid": "2.5"},
 )

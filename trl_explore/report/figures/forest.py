@@ -1,4 +1,4 @@
-"""Forest plot: how many iterations one configuration saves against another, for all pairs."""
+"""Forest plot: the difference in iterations of each pair of configurations."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from trl_explore.statistics.comparisons import Comparison
 from trl_explore.statistics.estimates import LEVEL, Estimate
 
 MOST_PAIRS = 15
-"""Pairs in a forest plot; of more, those with the fastest configuration are shown."""
+"""Most pairs in a forest plot; if there are more, only those with the fastest are shown."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One pair: ``difference`` is what the first needs less than the second."""
+    """One pair; ``difference`` is how many iterations fewer the first needs."""
 
     first: str
     second: str
@@ -33,13 +33,13 @@ class Row:
 
 
 def pair_label(row: Row) -> str:
-    """The name of a row: A vs. B, in two lines where that is long."""
+    """The label of a row, "A vs. B", in two lines if it is long."""
     first, second = wrapped(row.first, 36, 1), wrapped(row.second, 36, 1)
     return f"{first} vs. {second}" if len(first) + len(second) <= 26 else f"{first}\nvs. {second}"
 
 
 def plot_forest(ax: Axes, rows: Sequence[Row]) -> None:
-    """Draw each pair's difference with its interval; hollow where it may be chance."""
+    """Draw each pair's difference with its interval; hollow if it is not significant."""
     for y, row in enumerate(rows):
         e = row.difference
         if np.isfinite([e.low, e.high]).all():
@@ -47,7 +47,7 @@ def plot_forest(ax: Axes, rows: Sequence[Row]) -> None:
         ax.plot(
             [e.value], [y], marker=row.style.marker, ms=6, mec=row.style.color,
             mfc=row.style.color if row.told_apart else PAPER, zorder=3,
-            label="told apart" if row.told_apart else "open",
+            label="significant" if row.told_apart else "not significant",
         )  # fmt: skip
     ax.axvline(0, color=INK, lw=1.0)
     ax.set_ylim(len(rows) - 0.4, -0.6)
@@ -56,9 +56,9 @@ def plot_forest(ax: Axes, rows: Sequence[Row]) -> None:
     ax.spines["left"].set_visible(False)
     ax.grid(axis="x")
     ax.grid(axis="y", color=GRID, lw=0.4)
-    ax.set_xlabel("the first needs fewer by (iterations)")
+    ax.set_xlabel("iterations that the first saves")
     plain_numbers(ax.xaxis)
-    entries = [("told apart", True, MUTED), ("may be chance", False, PAPER)]
+    entries = [("significant", True, MUTED), ("not significant", False, PAPER)]
     handles = [
         Line2D([], [], color=MUTED, marker="o", mfc=face, label=label)
         for label, kind, face in entries
@@ -68,7 +68,7 @@ def plot_forest(ax: Axes, rows: Sequence[Row]) -> None:
 
 
 def oriented(comparison: Comparison) -> tuple[str, str, Estimate]:
-    """Faster and slower configuration of a pair, and what the first saves."""
+    """Faster and slower configuration of a pair, and the iterations that the faster one saves."""
     e = comparison.difference
     if e.value > 0:
         return comparison.b, comparison.a, e
@@ -76,7 +76,7 @@ def oriented(comparison: Comparison) -> tuple[str, str, Estimate]:
 
 
 def _shown(e: GroupEvidence) -> list[Comparison]:
-    """The comparisons of the plot: all of them, or those with the fastest."""
+    """All comparisons, or those with the fastest configuration."""
     if len(e.comparisons) <= MOST_PAIRS or e.group.crossed is not None:
         return e.comparisons
     best = min(e.group.configurations, key=lambda c: float(c.durations.mean())).name
@@ -84,7 +84,7 @@ def _shown(e: GroupEvidence) -> list[Comparison]:
 
 
 def _draw(e: GroupEvidence) -> Figure:
-    """The shown pairs, the largest difference on top."""
+    """Draw the pairs, the largest difference on top."""
     labels, looks, layout = e.group.labels, e.group.styles, e.group.crossed
     rest = {n: layout.options[o] for (_, o), n in layout.cells.items()} if layout else labels
     rows = []
@@ -101,14 +101,14 @@ def _draw(e: GroupEvidence) -> Figure:
 def _caption(e: GroupEvidence) -> str:
     real, shown = sum(c.winner is not None for c in e.comparisons), _shown(e)
     some = (
-        f" Shown are the {len(shown)} pairs with the fastest configuration; the table has all."
+        f" Only the {len(shown)} pairs with the fastest configuration are shown; the table has all."
         if len(shown) < len(e.comparisons)
         else ""
     )
     return (
-        f"How many iterations the first of a pair needs fewer than the second, on average (counted"
-        f" to the cap), with {100 * LEVEL:g} % interval. Filled: told apart by interval and"
-        f" permutation test after Holm’s correction, {real} of {len(e.comparisons)}.{some}"
+        "Mean number of iterations (restricted to the cap) that the first of a pair saves compared"
+        f" with the second, with {100 * LEVEL:g} % interval. Filled: significant by interval and"
+        f" permutation test after Holm’s correction, {real} of {len(e.comparisons)} pairs.{some}"
     )
 
 

@@ -1,4 +1,4 @@
-"""What a kind of figure is, and what the conditions and captions of several of them share."""
+"""A kind of figure; conditions and caption parts that several kinds share."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from trl_explore.report.evidence import GroupEvidence
 from trl_explore.statistics.outcomes import Outcomes
 
 FEW = 16
-"""Most configurations of a figure with one row, or panel, for each."""
+"""Most configurations of a figure with one row or panel each."""
 NAMED = 9
 """Most configurations that a caption names."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of figure: when there is one, how it is drawn, and what is said about it.
+    """A kind of figure: its condition, its drawing and its caption.
 
     Attributes:
         name: unique; part of the names of its files.
         title: for readers.
         applies: whether a group has this figure.
         draw: the figure.
-        caption: what to see in it, in words made from its numbers; plain text.
-        thesis: experiment -> number of the thesis's figure that shows the same.
-        hero: whether the first such figure may stand beside the answer.
-        recorded: whether it shows what was recorded along the runs.
-        why: whether the section on the bias shows it.
+        caption: what the figure shows, with its numbers; plain text.
+        thesis: experiment -> number of the same figure in the thesis.
+        hero: whether the first such figure may appear next to the answer.
+        recorded: whether it shows what was recorded during training.
+        why: whether it appears in the section on the bias.
 
     """
 
@@ -45,7 +45,7 @@ class Kind:
 
 
 def few(e: GroupEvidence) -> bool:
-    """Whether there is room for a row or a panel of every configuration."""
+    """Whether there is room for a row or panel per configuration."""
     return e.group.plane is None and len(e.group.configurations) <= FEW
 
 
@@ -60,12 +60,12 @@ def plane(e: GroupEvidence) -> bool:
 
 
 def plain(e: GroupEvidence) -> bool:
-    """Whether every configuration stands beside every other one."""
+    """Whether the configurations have neither layout, crossed or plane."""
     return not crossed(e) and not plane(e)
 
 
 def whole_study(e: GroupEvidence) -> bool:
-    """Whether it is a plain group, and no grid over one parameter."""
+    """Whether it is a plain group and not a grid over one parameter."""
     return plain(e) and not e.group.is_grid
 
 
@@ -76,7 +76,7 @@ def trials(e: GroupEvidence) -> str:
 
 
 def each(e: GroupEvidence, text: Callable[[Outcomes], str]) -> str:
-    """A text on each of the first configurations."""
+    """A text about each of the first ``NAMED`` configurations."""
     shown = e.group.configurations[:NAMED]
     parts = [f"{e.group.short(c.name)}: {text(c)}" for c in shown]
     return "; ".join(parts) + (" …" if len(e.group.configurations) > NAMED else "")

@@ -1,4 +1,4 @@
-"""Learning curves: mean score by iteration, in training and of the policy alone."""
+"""Learning curves: mean score by iteration, in training and of the greedy policy."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from trl_explore.report.figures.panels import (
 from trl_explore.report.style import INK, LineStyle, Style
 
 GREEDY: LineStyle = (0, (5.0, 2.0))
-"""The line of a policy that is evaluated."""
+"""Line style of evaluations."""
 
 
 def plot_learning(
@@ -38,7 +38,7 @@ def plot_learning(
     others: Sequence[tuple[Curve, Style]] = (),
     threshold: float | None = None,
 ) -> None:
-    """Draw one learning curve with its band, and the means of the others thinly under it."""
+    """Draw one learning curve with its band, and the other means as thin lines."""
     for other, look in others:
         ax.plot(other.iterations, other.mean, color=look.color, lw=0.8, alpha=0.45, zorder=1)
     if curve.low is not None and curve.high is not None:
@@ -82,12 +82,12 @@ def _draw_learning(e: GroupEvidence) -> Figure:
 def _learning_caption(e: GroupEvidence) -> str:
     curves = e.traces.learning
     bands = any(curve.low is not None for curve in curves.values())
-    what = "Line: mean over trials" + (", band: the middle half of them" if bands else "")
-    absent = "" if bands else " No bands: the episodes of these jobs were not recorded."
+    what = "Line: mean over trials" + ("; band: middle half of the trials" if bands else "")
+    absent = "" if bands else " There are no bands because episodes were not recorded."
     missing = len(e.group.configurations) - len(curves)
-    none = f" {missing} configurations have no recorded curve." if missing else ""
+    none = f" Configurations without a recorded curve: {missing}." if missing else ""
     return (
-        f"{what}; thin: the other configurations. A trial that stopped keeps its last score. The"
+        f"{what}; thin lines: the other configurations. Stopped trials keep their last score. The"
         f" dashed line is the score to pass, {e.group.threshold:g}.{absent}{none}"
     )
 
@@ -108,13 +108,13 @@ def _draw_panels(e: GroupEvidence) -> Figure:
 
 def _panels_caption(e: GroupEvidence) -> str:
     return (
-        "Mean over trials; a trial that stopped keeps its last score. The dashed line is the score"
+        "Mean over trials; stopped trials keep their last score. The dashed line is the score"
         f" to pass, {e.group.threshold:g}."
     )
 
 
 def _draw_evaluation(e: GroupEvidence) -> Figure:
-    """Score in training and of the greedy policy, one panel per configuration."""
+    """Draw the scores in training and of the greedy policy, one panel per configuration."""
     group, curves = e.group, e.traces.evaluations
     panels = [Panel(group.labels[name], (name,)) for name in curves]
     limits = limits_of([c for pair in curves.values() for c in pair], line=group.threshold)
@@ -137,10 +137,10 @@ def _evaluation_caption(e: GroupEvidence) -> str:
         sign = "+" if ends >= 0 else "−"
         gains.append(f"{e.group.labels[name]} {sign}{abs(ends):.3g}")
     return (
-        "The score of training contains what the exploration itself costs; dashed, the same agents"
-        " play the greedy action in episodes of their own, from which nothing is learned. Means"
-        " over trials; a trial that stopped keeps its last score. Greedy minus training at the"
-        f" end: {'; '.join(gains)}."
+        "Solid: score in training, which includes the cost of exploration. Dashed: score of the"
+        " same agents in separate evaluation episodes, in which they take the greedy action and do"
+        " not learn. Means over trials; stopped trials keep their last score. Greedy minus training"
+        f" at the end: {'; '.join(gains)}."
     )
 
 
@@ -160,7 +160,7 @@ PANELS = Kind(
 )
 EVALUATION = Kind(
     "evaluation",
-    "The agent without its exploration",
+    "The agent without exploration",
     lambda e: few(e) and len(e.traces.evaluations) > 0,
     _draw_evaluation,
     _evaluation_caption,

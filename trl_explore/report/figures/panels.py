@@ -1,4 +1,4 @@
-"""Panels of a group on common axes, and curves by iteration in them."""
+"""Panels of a group on common axes; curves by iteration."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ T = TypeVar("T")
 PANELS_PER_ROW = 2
 MARKS = 6
 BANDS_UP_TO = 6
-"""Curves with bands; those of more would only hide each other."""
+"""Most curves that are drawn with bands; more bands would hide each other."""
 DEPTH = 1e-6
-"""Of the largest value: how far down a logarithmic axis reaches."""
+"""Lower end of a logarithmic axis, as a fraction of the largest value."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """The title of a panel, the names of its configurations, and which quantity it shows."""
+    """A panel: title, names of its configurations, and the quantity shown."""
 
     title: str
     names: tuple[str, ...]
@@ -42,7 +42,7 @@ class Panel:
 
 
 def panels_of(group: Group) -> list[Panel]:
-    """One panel per row of a crossed group; else one of all configurations, without a title."""
+    """One panel per row of a crossed group; otherwise one untitled panel of all configurations."""
     if group.crossed is None:
         return [Panel("", tuple(c.name for c in group.configurations))]
     cells = sorted(group.crossed.cells.items())
@@ -61,15 +61,15 @@ def draw_panels(
     *,
     legend: Sequence[tuple[str, Style]] | None = None,
 ) -> Figure:
-    """Panels on common axes, two in a line, under one legend.
+    """Draw panels on common axes, two per line, with one legend.
 
     Args:
         group: what is drawn.
         draw: draws one panel on empty axes.
         panels: in reading order.
         x: name and unit of the horizontal axis.
-        y: of the vertical axis.
-        legend: label and look of its entries; None: the options or configurations of the group.
+        y: name and unit of the vertical axis.
+        legend: label and style of its entries; None: the options or configurations of the group.
 
     """
     entries = list(legend or options_of(group))
@@ -84,7 +84,7 @@ def draw_panels(
 def fill_panels(
     figure: Figure, panels: Sequence[T], draw: Callable[[Axes, T], None], x: str, y: str
 ) -> None:
-    """Draw panels on common axes of a figure, two in a line."""
+    """Draw panels on common axes of a figure, two per line."""
     columns = min(PANELS_PER_ROW, len(panels))
     axes = figure.subplots(
         math.ceil(len(panels) / columns), columns, sharex=True, sharey=True, squeeze=False
@@ -103,7 +103,7 @@ def fill_panels(
 
 
 def options_of(group: Group) -> list[tuple[str, Style]]:
-    """What the legend of a group names: its options, or its configurations."""
+    """Legend entries of a group: its options, or its configurations."""
     if group.crossed is None:
         return [(group.labels[c.name], group.styles[c.name]) for c in group.configurations]
     looks = {option: group.styles[name] for (_, option), name in group.crossed.cells.items()}
@@ -111,7 +111,7 @@ def options_of(group: Group) -> list[tuple[str, Style]]:
 
 
 def legend_of(ax: Axes, entries: Sequence[tuple[str, Style]]) -> None:
-    """A legend of options above the figure, in columns that fit their labels."""
+    """Draw a legend above the figure, in columns that fit the labels."""
     columns = 2 if max(len(label) for label, _ in entries) > 12 or len(entries) == 4 else 3
     legend_above(ax, [handle(style, label) for label, style in entries], columns=columns)
 
@@ -125,14 +125,14 @@ def plot_curves(
     limits: tuple[float, float] | None = None,
     log: bool = False,
 ) -> None:
-    """Draw curves by iteration, each with its band where it has one.
+    """Draw curves by iteration, with bands if they are known.
 
     Args:
         ax: empty axes.
-        curves: with their looks, in the order of the legend.
-        title: of the panel.
+        curves: with their styles, in the order of the legend.
+        title: title of the panel.
         line: height of a dashed line.
-        limits: of the vertical axis; None: those of :func:`limits_of`.
+        limits: limits of the vertical axis; None: :func:`limits_of` the curves.
         log: whether the vertical axis is logarithmic.
 
     """
@@ -163,9 +163,10 @@ def limits_of(
     log: bool = False,
     from_zero: bool = True,
 ) -> tuple[float, float]:
-    """Of an axis that holds the curves, their bands and the line, and zero if it is linear.
+    """Limits of an axis that shows the curves, their bands and the line.
 
-    A logarithmic one holds the curves down to a millionth of the largest value.
+    A linear axis includes zero if ``from_zero``. A logarithmic axis ends at a millionth of the
+    largest value.
 
     >>> limits_of([Curve(np.array([1.0, 2.0]), np.array([3.0, 10.0]))], line=20.0)
     (0.0, 21.0)

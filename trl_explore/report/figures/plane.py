@@ -1,4 +1,4 @@
-"""A map over two parameters: a colour and a number in every cell."""
+"""A map over two parameters; every cell has a colour and a number."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def plot_plane(
     scale: tuple[float, float],
     marked: tuple[int, int] | None = None,
 ) -> None:
-    """Draw a map; light is good, whatever the theme of the page.
+    """Draw a map; light is good in both themes of the page.
 
-    Every cell states its number, in an ink that stands out from its own colour, so that nothing
-    hangs on telling colours apart. Cells without a value stay empty.
+    Every cell shows its number in a contrasting colour, so the map can be read without
+    distinguishing colours. Cells without a value are empty.
 
     Args:
         ax: empty axes.
@@ -41,8 +41,8 @@ def plot_plane(
         ys: values of the parameter ``y`` from bottom to top.
         x: name of the first parameter.
         y: name of the second.
-        scale: the worst value, which is dark, and the best one.
-        marked: the cell with a frame.
+        scale: the worst value (dark) and the best value (light).
+        marked: the cell that gets a frame.
 
     """
     worst, best = scale
@@ -81,7 +81,7 @@ def cell_color(share: float) -> str:
 
 
 def ink_on(color: str) -> str:
-    """Black or white, whichever stands out more from a colour.
+    """Black or white, whichever has more contrast to a colour.
 
     >>> ink_on(MAP[-1])
     '#101214'
@@ -125,15 +125,15 @@ def _frame(e: GroupEvidence) -> str:
 def _pass_caption(e: GroupEvidence) -> str:
     width = max(50 * (s.pass_rate.high - s.pass_rate.low) for s in e.summaries)
     return (
-        f"Percent of {trials(e)} trials that pass; light is good. {_frame(e)}With so few trials, a"
-        f" cell is uncertain by up to ±{width:.0f} points: read the map for its shape."
+        f"Percentage of {trials(e)} trials that pass; light is good. {_frame(e)}A cell is uncertain"
+        f" by up to ±{width:.0f} points: look at the overall pattern, not at single cells."
     )
 
 
 def _iterations_caption(e: GroupEvidence) -> str:
     return (
-        "Mean number of iterations to convergence, a trial that failed counted as"
-        f" {e.group.cap:,}; light is fast. {_frame(e)}"
+        "Mean number of iterations to convergence; failed trials count as"
+        f" {e.group.cap:,}. Light is fast. {_frame(e)}"
     )
 
 

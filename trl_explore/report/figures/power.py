@@ -1,4 +1,4 @@
-"""The power of the comparison: which difference a number of trials finds."""
+"""Power: the difference that a number of trials can detect."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ COLOR = "#0072b2"
 
 @dataclass(frozen=True)
 class Pair:
-    """A comparison: the sd of a pair's difference, the observed |difference|, whether found."""
+    """A comparison: standard deviation of the paired difference, observed |difference|, verdict."""
 
     label: str
     sd: float
@@ -35,18 +35,18 @@ class Pair:
 
 
 def plot_power(ax: Axes, pairs: Sequence[Pair], *, trials: int, level: float) -> None:
-    """Draw the smallest difference found with 80 % power by the number of trials.
+    """Draw the smallest difference that is detected with 80 % power, by number of trials.
 
-    The line is the pair of median spread, the band reaches from the pair of smallest to that of
-    largest spread; both begin where a permutation test can find anything. Each pair is a point at
-    the difference that was observed and the number of trials that would find it with that power:
-    left of the vertical line there were enough.
+    The line is for the median standard deviation of the pairs; the band reaches from the smallest
+    to the largest. Both begin at the fewest trials with which a permutation test can be
+    significant. Each point is a pair: its observed difference, and the number of trials that would
+    detect it with that power. For points left of the vertical line there were enough trials.
 
     Args:
         ax: empty axes.
-        pairs: comparisons with a spread.
-        trials: that were made per configuration.
-        level: of one test.
+        pairs: comparisons.
+        trials: number of trials per configuration.
+        level: confidence level of one test.
 
     """
     known = [p for p in pairs if np.isfinite(p.sd) and p.sd > 0]
@@ -73,10 +73,10 @@ def plot_power(ax: Axes, pairs: Sequence[Pair], *, trials: int, level: float) ->
     plain_numbers(ax.xaxis)
     plain_numbers(ax.yaxis)
     handles = [
-        Line2D([], [], color=COLOR, label=f"found with {100 * POWER:g} % power"),
+        Line2D([], [], color=COLOR, label=f"detected with {100 * POWER:g} % power"),
         Line2D([], [], color=INK, lw=1.0, ls=(0, (4, 3)), label=f"this study: {trials:,} trials"),
-        Line2D([], [], ls="", marker="o", color=INK, label="a pair that was told apart"),
-        Line2D([], [], ls="", marker="D", color="#d55e00", label="a pair that was not"),
+        Line2D([], [], ls="", marker="o", color=INK, label="pair with a significant difference"),
+        Line2D([], [], ls="", marker="D", color="#d55e00", label="pair without"),
     ]
     present = {p.told_apart for _, p in shown}
     legend_above(ax, handles[:2] + [h for h, k in zip(handles[2:], (True, False), strict=True)
@@ -85,7 +85,7 @@ def plot_power(ax: Axes, pairs: Sequence[Pair], *, trials: int, level: float) ->
 
 
 def _pairs(e: GroupEvidence) -> list[Pair]:
-    """The comparisons whose spread is known and not nil."""
+    """The comparisons whose standard deviation is known and not zero."""
     labels = e.group.labels
     return [
         Pair(f"{labels[c.a]} vs. {labels[c.b]}", c.sd, c.difference.value, c.winner is not None)
@@ -99,7 +99,7 @@ def _trials(e: GroupEvidence) -> int:
 
 
 def _draw(e: GroupEvidence) -> Figure:
-    """At the level that the correction leaves to one pair."""
+    """Draw at the level of one test after correction."""
     figure = new_figure(3.4)
     plot_power(figure.subplots(), _pairs(e), trials=_trials(e), level=e.strict_level)
     return figure
@@ -112,19 +112,19 @@ def _caption(e: GroupEvidence) -> str:
     )
     if n < (fewest := fewest_pairs(level)):
         found = (
-            f"{n:,} trials per configuration find no difference, however large, after correction"
-            f" for {len(e.comparisons)} pairs; that needs {fewest}."
+            f"{n:,} trials per configuration cannot detect any difference, however large, after"
+            f" correction for {len(e.comparisons)} pairs; at least {fewest} are needed."
         )
     else:
         found = (
-            f"With {n:,} trials per configuration, a difference of {low:,.0f} (the pair that"
-            f" varies least) to {high:,.0f} iterations (the one that varies most) is found with"
+            f"With {n:,} trials per configuration, a difference of {low:,.0f} iterations (the least"
+            f" variable pair) to {high:,.0f} (the most variable pair) is detected with"
             f" {100 * POWER:g} % power after correction for {len(e.comparisons)} pairs."
         )
     return (
-        f"{found} Each point is a pair: its observed difference, and how many trials would find"
-        " it. Points right of the dashed line need more trials than there were. Band: from the"
-        f" least to the most varying pair.{_unsettled(pairs, level)}"
+        f"{found} Each point is a pair: its observed difference, and the number of trials that"
+        " would detect it. Pairs right of the dashed line need more trials than this study has."
+        f" Band: from the least to the most variable pair.{_unsettled(pairs, level)}"
     )
 
 
@@ -137,7 +137,7 @@ def _unsettled(pairs: Sequence[Pair], level: float, most: int = 3) -> str:
     texts = [f"{label} {n:,}" for label, n in needed if n is not None][:most]
     if not texts:
         return ""
-    return f" Not told apart, and the trials that this would take: {'; '.join(texts)}."
+    return f" Pairs without a significant difference, and the trials needed: {'; '.join(texts)}."
 
 
 POWER_OF_STUDY = Kind(

@@ -1,4 +1,4 @@
-"""What was recorded along the runs: one figure for each entry of ``DIAGNOSTICS``."""
+"""Diagnostics recorded during training: one figure for each entry of ``DIAGNOSTICS``."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from trl_explore.training.columns import DIAGNOSTICS, Diagnostic
 FEWER = 12
 """Most configurations whose curves share a panel."""
 WHY = ("kl", "effective_sample_size", "ratio_mean")
-"""The quantities that say how far μ was from π."""
+"""The quantities that measure the distance between μ and π."""
 HOW = (
-    " Median and middle half of the trials, averaged over 20 iterations; one that stopped keeps its"
-    " last value."
+    " Line: median over trials; band: middle half; values averaged over 20 iterations."
+    " Stopped trials keep their last value."
 )
 
 
@@ -55,7 +55,7 @@ def _draw(e: GroupEvidence, name: str, quantity: Diagnostic) -> Figure:
 
 
 def _means(e: GroupEvidence, curves: dict[str, Curve]) -> str:
-    """The mean of each curve, of the first options where rows are crossed with options."""
+    """The mean of each curve; in a crossed group, only of the first option."""
     layout = e.group.crossed
     if layout is None:
         labels, option = e.group.labels, ""
@@ -63,11 +63,11 @@ def _means(e: GroupEvidence, curves: dict[str, Curve]) -> str:
         labels = {n: layout.rows[r] for (r, o), n in sorted(layout.cells.items()) if o == 0}
         option = f", {layout.options[0]}"
     texts = [f"{labels[n]}: {_short(curves[n].level)}" for n in labels if n in curves]
-    return f" Mean of the line over all iterations{option}: {'; '.join(texts[:NAMED])}."
+    return f" Mean of each line over all iterations{option}: {'; '.join(texts[:NAMED])}."
 
 
 def _short(value: float) -> str:
-    """A number in two digits, without powers of ten.
+    """A number with two digits, without an exponent.
 
     >>> _short(3.2e-10), _short(0.0966), _short(6620.0)
     ('< 0.001', '0.097', '6,620')
@@ -96,7 +96,7 @@ FIRST = DIAGNOSTICS[ENTROPIES[0]]
 
 
 def _draw_entropy(e: GroupEvidence) -> Figure:
-    """The entropies of π (left) and μ (right), in pairs of panels."""
+    """Draw the entropies of π (left) and μ (right) in pairs of panels."""
     group = e.group
     panels = [
         replace(

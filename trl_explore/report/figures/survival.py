@@ -1,4 +1,4 @@
-"""Kaplan-Meier curves, and under them how many trials are still at risk."""
+"""Kaplan-Meier curves with the numbers of trials at risk below them."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from trl_explore.statistics.survival import SurvivalCurve, kaplan_meier, number_
 
 MARKS = 9
 BANDS_UP_TO = 6
-"""Curves with bands; those of more would only hide each other."""
+"""Most curves that are drawn with bands; more bands would hide each other."""
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One configuration: its curve, and the durations [n] that it was made of."""
+    """One configuration: its curve, and the durations [n] that the curve is estimated from."""
 
     label: str
     curve: SurvivalCurve
@@ -50,7 +50,7 @@ def plot_survival(
 ) -> None:
     """Draw Ŝ(t), the share of trials that have not converged by t, with pointwise bands.
 
-    The axis of ``time`` ends at the horizon; without one, at the last time of any row.
+    The time axis ends at ``horizon``, or at the last time of any row if that is None.
     """
     end = horizon or max(float(row.curve.times[-1]) for row in rows)
     log = spans_much([row.durations for row in rows])
@@ -78,9 +78,9 @@ def plot_survival(
 
 
 def plot_numbers_at_risk(ax: Axes, rows: Sequence[Row], times: Sequence[float]) -> None:
-    """Write how many trials are still at risk; the label of each row is the legend.
+    """Write the numbers of trials at risk; the row labels are the legend.
 
-    The axes share the horizontal axis of the curves, whose ticks are at ``times``.
+    The horizontal axis is that of the curves, with ticks at ``times``.
     """
     ax.set_ylim(len(rows) - 0.5, -1.3)
     ax.set_axis_off()
@@ -119,7 +119,7 @@ def _rows(e: GroupEvidence, names: Sequence[str], unit: str) -> list[Row]:
     by_name = {c.name: c for c in group.configurations}
     for name in names:
         durations, converged = convergence_times(by_name[name], unit)
-        if unit == "frames":  # failed trials stay at risk to the end of the common axis
+        if unit == "frames":  # failed trials stay at risk until the end of the common axis
             durations = np.where(converged, durations, end)
         curve = kaplan_meier(durations, converged)
         rows.append(Row(group.labels[name], curve, durations, group.styles[name]))
@@ -140,24 +140,25 @@ def _caption(e: GroupEvidence) -> str:
     many = len(e.group.configurations) > BANDS_UP_TO
     bands = "" if many else f" Bands: {100 * LEVEL:g} % intervals."
     return (
-        f"Each curve falls as trials converge; the sooner and deeper it falls, the better. What is"
-        f" left at {e.group.cap:,} iterations was stopped there without passing. {passed(e)}"
-        f"{bands} Below: how many of {trials(e)} trials are still learning (Kaplan–Meier)."
+        f"Share of trials that have not converged (Kaplan–Meier). A curve that falls earlier and"
+        f" further is better. Trials that had not passed by {e.group.cap:,} iterations were stopped"
+        f" there. {passed(e)}{bands} Below: how many of {trials(e)} trials are still learning."
     )
 
 
 def _frames_caption(e: GroupEvidence) -> str:
     return (
-        "The same against environment steps, which cost the same on every machine. Trials that"
-        " failed count as still learning to the end of the axis: strategies that fail badly have"
-        " short episodes, and would look good if they left the count when they were stopped."
+        "The same curves by environment steps (frames), which do not depend on the machine. Failed"
+        " trials count as still learning until the end of the axis. They often have short episodes"
+        " and reach the cap after few frames, so removing them there would make poor strategies"
+        " look good."
     )
 
 
 def _panels_caption(e: GroupEvidence) -> str:
     return (
-        "Each curve falls as trials converge; what is left at the end of the axis was stopped at"
-        f" the cap of {e.group.cap:,} iterations without passing (Kaplan–Meier)."
+        "Share of trials that have not converged (Kaplan–Meier). Trials that had not passed by the"
+        f" cap of {e.group.cap:,} iterations were stopped there."
         f" Bands: {100 * LEVEL:g} % intervals."
     )
 

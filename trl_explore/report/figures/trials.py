@@ -1,4 +1,4 @@
-"""Every trial as a point, one row per configuration: the whole distribution of one quantity."""
+"""The distribution of one quantity: one row per configuration, one point per trial."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style
 from trl_explore.statistics.outcomes import Outcomes
 
 RASTER_FROM = 400
-"""Points per row from which they are drawn as an image, to keep an SVG small."""
+"""From this number of points per row, points are drawn as an image to keep the SVG small."""
 RASTER_FROM_ALL = 1000
 """The same for all rows together."""
 SPREAD = 0.28
 SHAPED_FROM = 100
-"""Points per row from which their cloud takes the shape of the distribution."""
+"""From this number of points per row, the cloud takes the shape of the distribution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,17 +55,17 @@ def plot_trials(
 ) -> None:
     """Draw one row of points per configuration, from top to bottom.
 
-    A trial that converged is a filled point, one that was stopped at the cap a hollow one, one
-    that diverged a cross; values that are not finite are left out. Beside the points stand the
-    median and the middle half of all trials, at the right how many passed.
+    Filled points are trials that converged, hollow points trials that were stopped at the cap,
+    crosses trials that diverged; values that are not finite are left out. A bar below the points
+    shows the median and the middle half; the number of trials that passed is on the right.
 
     Args:
         ax: empty axes.
         rows: configurations.
         quantity: name and unit of the horizontal axis.
-        of: name of the vertical axis, where rows are values of one parameter.
+        of: name of the vertical axis, if rows are values of one parameter.
         line: value and label of a vertical line: the threshold, or the cap.
-        may_be_log: draw values that span much on a logarithmic axis.
+        may_be_log: use a logarithmic axis if the values span much.
 
     """
     present = set()
@@ -105,7 +105,7 @@ def plot_trials(
 
 
 def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vertical offsets in [-1, 1] [n], the same whenever asked: neighbours are moved apart.
+    """Deterministic vertical offsets in [-1, 1] [n] that separate neighbouring points.
 
     The k-th smallest value gets the k-th number of van der Corput's sequence.
 
@@ -124,10 +124,10 @@ def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def crowding(values: NDArray[np.float64], bins: int = 50) -> NDArray[np.float64]:
-    """How wide the cloud of points is at each value [n], in (0, 1]: all of it for few points.
+    """Width of the cloud of points at each value [n], in (0, 1]; 1 for few points.
 
-    Of many, the root of the share of the fullest of ``bins`` equal classes, so that the cloud
-    shows where they are, and single ones still stand apart.
+    For many points it is √(count of the value's bin / largest count) over ``bins`` equal bins: the
+    cloud shows the density, and single points remain visible.
     """
     if len(values) <= SHAPED_FROM or values.min() == values.max():
         return np.ones(len(values))
@@ -138,7 +138,7 @@ def crowding(values: NDArray[np.float64], bins: int = 50) -> NDArray[np.float64]
 
 
 def _points(ax: Axes, row: Row, y: int, raster: bool) -> set[str]:
-    """Draw the points of a row; which statuses it has."""
+    """Draw the points of a row; return the statuses that occur."""
     finite = np.isfinite(row.values)
     values = np.where(finite, row.values, 0.0)
     heights = y + SPREAD * spread(values) * crowding(values)
@@ -199,7 +199,7 @@ def _draw(
     *,
     may_be_log: bool = True,
 ) -> Figure:
-    """One row of points per configuration that ``values`` gives any for."""
+    """Draw one row of points for each configuration that has values."""
     rows = []
     for c in e.group.configurations:
         shown, numbers = values(c)
@@ -222,9 +222,9 @@ def _draw_score(e: GroupEvidence) -> Figure:
 
 def _score_caption(e: GroupEvidence) -> str:
     return (
-        f"One point per trial. {passed(e)} A trial stops as soon as its score passes"
-        f" {e.group.threshold:g}, so that passing trials lie just above the line, except those"
-        f" that had passed before their {e.group.window}th episode."
+        f"One point per trial. {passed(e)} A trial stops as soon as its score exceeds"
+        f" {e.group.threshold:g}, so passing trials lie just above the line, except those that"
+        f" had exceeded it before their {e.group.window}th episode."
     )
 
 
@@ -237,14 +237,14 @@ def _draw_iterations(e: GroupEvidence) -> Figure:
 
 def _iterations_caption(e: GroupEvidence) -> str:
     return (
-        f"Hollow points at the cap are not measurements of {e.group.cap:,} iterations: those trials"
-        " would have needed more, or would never have passed."
+        f"Hollow points: trials stopped at the cap of {e.group.cap:,} iterations. They"
+        " would have needed more iterations, or would never have passed."
         f" Medians{by(e)}: {each(e, _median)}."
     )
 
 
 def _median(c: Outcomes) -> str:
-    # The lower median: of an even number of trials the one that is reached first.
+    # The lower median: of the two middle values, the smaller one.
     middle = np.sort(np.where(c.converged, c.durations, np.inf))[(len(c) - 1) // 2]
     return number(float(middle)) if np.isfinite(middle) else "not reached"
 
@@ -258,10 +258,10 @@ def _seconds_caption(e: GroupEvidence) -> str:
         return f"{seconds[c.name].mean():.3g} s" if len(seconds[c.name]) else "not timed"
 
     return (
-        f"Each trial was run by itself, in random order, after a warm-up; {some} trials per"
+        f"Each trial was run alone, in random order, after a warm-up; {some} trials per"
         f" configuration. Means{by(e)}: {each(e, mean)}. Seconds depend on program and machine:"
-        " here an iteration has a fixed cost beside that of its frames, which weighs on trials of"
-        " many short episodes. The next figure does not depend on them."
+        " an iteration has a fixed cost in addition to the cost of its frames, which slows down"
+        " trials with many short episodes. The figure of frames does not depend on the machine."
     )
 
 
@@ -273,8 +273,8 @@ def _draw_frames(e: GroupEvidence) -> Figure:
 def _frames_caption(e: GroupEvidence) -> str:
     means = each(e, lambda c: f"{c.frames.mean():,.0f}")
     return (
-        "Environment steps until a trial stopped, the cost of learning that does not depend on the"
-        f" machine. A trial that fails with short episodes uses few. Means{by(e)}: {means}."
+        "Environment steps until a trial stopped: a cost of learning that does not depend on the"
+        f" machine. Failed trials with short episodes use few frames. Means{by(e)}: {means}."
     )
 
 
@@ -298,7 +298,7 @@ SECONDS = Kind(
     "seconds",
     "Seconds of single trials",
     lambda e: any(len(e.group.timed(c)[1]) for c in e.group.configurations),
-    lambda e: _draw(e, e.group.timed, "seconds of a trial run by itself"),
+    lambda e: _draw(e, e.group.timed, "seconds of a trial run alone"),
     _seconds_caption,
     thesis={"thesis": "3.3", "decay_grid": "2.4"},
 )
