@@ -79,7 +79,7 @@ class EpisodeCollector(BaseCollector):
         >>> policy = TensorDictSequential(LinearPolicy(env), EpsilonGreedy(0.3))
         >>> collector = TorchRLCollector(env, policy)
         >>> rollout = collector.collect()
-        >>> len(rollout.frames) == rollout.length.sum()
+        >>> len(rollout.frames) == int(rollout.length.sum())
         True
     """
 
