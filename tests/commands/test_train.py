@@ -525,6 +525,24 @@ def test_one_wrong_job_does_not_stop_a_sweep(run_many, tmp_path):
     assert len(ran.stdout.splitlines()) == 5  # header, rule, two jobs, place
 
 
+def test_folders_of_a_sweep_may_have_other_names(run_many, tmp_path):
+    """The number of the job, which the plan must know; and one folder for two jobs is refused."""
+    words = ["-m", "experiment=debug", "max_iterations=1", "strategy=epsilon_greedy"]
+    numbered, single = run_many(
+        [
+            [*words, "strategy.epsilon=0.1,2", "hydra.sweep.subdir=${hydra.job.num}",
+             f"output_dir={tmp_path / 'numbered'}"],
+            [*words, "strategy.epsilon=0.1,0.2", "hydra.sweep.subdir=one",
+             f"output_dir={tmp_path / 'single'}"],
+        ],
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert (numbered.returncode, single.returncode) == (1, 1)
+    assert re.match(r"error: 1: .*epsilon.*\[0, 1\].*2", complaints(numbered)[0])
+    assert numbered.stdout.splitlines()[-1] == f"results: {tmp_path / 'numbered' / 'debug' / '0'}"
+    assert "another configuration" in complaints(single)[0]
+
+
 # Help
 
 

@@ -19,6 +19,7 @@ from trl_explore.config import (
     GROUPS,
     INERT,
     ConfigError,
+    build_shards,
     build_trainer,
     check_keys,
     describe,
@@ -510,6 +511,20 @@ def test_what_is_built_follows_the_configuration():
     assert trainer.optimizer.parameters[0] is policy.weight
     again = build_trainer(composed("trials=1", "seed=4", "first_trial=8")[0])
     assert (policy.weight[2] == again.collector.policy[0].weight[0]).all()
+
+
+def test_one_line_says_which_collector_serves_all_shards(monkeypatch, caplog):
+    """Also where it cannot serve several threads, so that shards are put together again."""
+    from trl_explore.training import shards
+
+    monkeypatch.setattr(shards, "SMALLEST", 2)
+    for strategy, parts in (("softmax", 2), ("count_bonus", 1)):
+        caplog.clear()
+        with caplog.at_level("INFO", "trl_explore"):
+            built = build_shards(composed(f"strategy={strategy}", "trials=4", "threads=2")[0])
+        assert len(built.trainers) == parts
+        assert len(caplog.messages) == 1
+        built.close()
 
 
 def test_importing_the_module_imports_no_torch():

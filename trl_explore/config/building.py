@@ -78,12 +78,13 @@ def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shar
         trainers = [first]
         if len(sizes) > 1 and not first.parallel:  # one large shard is faster
             first.close()
-            trainers, sizes = [_build_trainer(config, slice(0, config.trials))], [config.trials]
+            sizes = [config.trials]
+            trainers = [_build_trainer(config, slice(0, config.trials), announce=False)]
     else:
         trainers = [_build_trainer(config, slice(0, sizes[0]))]
     for size in sizes[1:]:
         start = sum(len(trainer.trials) for trainer in trainers)
-        trainers.append(_build_trainer(config, slice(start, start + size)))
+        trainers.append(_build_trainer(config, slice(start, start + size), announce=False))
     return Shards(trainers)
 
 
@@ -105,8 +106,8 @@ def _check(config: DictConfig) -> None:
     _build(None, lambda: check_number("checkpoint_seconds", config.checkpoint_seconds, 0))
 
 
-def _build_trainer(config: DictConfig, rows: slice) -> Trainer:
-    """Build the trainer of some of the trials."""
+def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) -> Trainer:
+    """Build the trainer of some of the trials; only one of a job's announces the collector."""
     from tensordict.nn import TensorDictSequential
 
     from trl_explore.collectors import auto_collector
@@ -146,7 +147,7 @@ def _build_trainer(config: DictConfig, rows: slice) -> Trainer:
         trials=size,
     )
     auto = get_object(config.collector["_target_"]) is auto_collector
-    quiet = {"announce": False} if auto and rows.start else {}  # one line for all shards
+    quiet = {"announce": False} if auto and not announce else {}
     both = TensorDictSequential(policy, strategy)
     collector = _instantiate(config, "collector")(env, both, **quiet)
     diagnostics = None

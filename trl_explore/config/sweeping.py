@@ -20,7 +20,7 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from trl_explore.checks import first_line
 from trl_explore.config.building import is_multirun
@@ -65,6 +65,8 @@ class Sweep(Callback):
     def __init__(self) -> None:
         self.folders: list[Path] = []
         """The folder of each job, in order of job numbers; empty if the jobs cannot be composed."""
+        self.others: set[int] = set()
+        """The numbers of jobs whose folder belongs to an earlier job of another configuration."""
         self.place: Path | None = None
         """The folder of the sweep, where Hydra writes ``multirun.yaml``."""
         self.missing = ""
@@ -77,7 +79,7 @@ class Sweep(Callback):
         if not self.missing:
             with suppress(Exception):  # Hydra meets the same error and raises it
                 self.place = Path(str(config.hydra.sweep.dir)).absolute()
-                folders = _plan(config)
+                folders, self.others = _plan(config)
                 for sweep, names in _by_sweep(folders).items():
                     sweep.mkdir(parents=True, exist_ok=True)
                     sweeps.begin_sweep(sweep, names)
@@ -87,6 +89,7 @@ class Sweep(Callback):
         """Record whether the job that starts in this process is a duplicate."""
         number = OmegaConf.select(config, "hydra.job.num", throw_on_missing=False)
         planned = isinstance(number, int) and number < len(self.folders)
+        planned = planned and number not in self.others
         _State.repeated = planned and self.folders.index(self.folders[number]) < number
 
 
@@ -99,15 +102,32 @@ class _State:
     ended: list[Ended]
 
 
-def _plan(config: DictConfig) -> list[Path]:
-    """Compose every job of a sweep, which detects errors; return the folder of each job."""
+def _plan(config: DictConfig) -> tuple[list[Path], set[int]]:
+    """Compose every job of a sweep, which detects errors.
+
+    Returns:
+        The folder of each job, and the numbers of the jobs whose folder belongs to an earlier job
+        of another configuration.
+    """
     loader = GlobalHydra.instance().config_loader()
     words = [f"{key}={value}" for key, value in (config.hydra.sweeper.get("params") or {}).items()]
     words += [str(word) for word in config.hydra.overrides.task]
     overrides = OverridesParser.create(config_loader=loader).parse_overrides(words)
     (batch,) = BasicSweeper.split_arguments(overrides, max_batch_size=None)
-    jobs = (loader.load_sweep_config(config, job) for job in batch)
-    return [Path(str(job.hydra.sweep.dir), str(job.hydra.sweep.subdir)).absolute() for job in jobs]
+    jobs = [loader.load_sweep_config(config, job) for job in batch]
+    for number, job in enumerate(jobs):  # as launchers do: the name of a folder may contain it
+        with open_dict(job):
+            job.hydra.job.id = job.hydra.job.num = number
+    places = (Path(str(job.hydra.sweep.dir), str(job.hydra.sweep.subdir)) for job in jobs)
+    folders = [place.absolute() for place in places]
+    values = [OmegaConf.to_container(OmegaConf.masked_copy(job, _keys(job))) for job in jobs]
+    others = {n for n, one in enumerate(values) if one != values[folders.index(folders[n])]}
+    return folders, others
+
+
+def _keys(job: DictConfig) -> list[str]:
+    """The keys of a job's configuration but for Hydra's own."""
+    return [str(key) for key in job if key != "hydra"]
 
 
 def _by_sweep(folders: list[Path]) -> dict[Path, list[str]]:
@@ -192,7 +212,7 @@ def collect(start: Callable[[], object]) -> list[Ended]:
         if _State.sweep is not None and _State.sweep.place is not None:
             for sweep in {_State.sweep.place, *_by_sweep(_State.sweep.folders)}:
                 sweeps.end_sweep(sweep)
-    if _State.sweep is None:
+    if _State.sweep is None or not _State.sweep.folders:
         return _State.ended
     here = {job.folder.absolute(): job for job in _State.ended}
     folders = dict.fromkeys(_State.sweep.folders)

@@ -98,7 +98,7 @@ class Shards:
                     trainer.close()
             except BaseException as error:
                 errors.append(error)
-                if isinstance(error, Exception):  # a signal stops every shard anyway
+                if not isinstance(error, KeyboardInterrupt):  # a signal stops every shard anyway
                     failed.set()
             finally:
                 ended.release()
