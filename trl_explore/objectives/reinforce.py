@@ -6,6 +6,7 @@ import contextlib
 from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
+import numpy as np
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
 from tensordict.nn import ProbabilisticTensorDictSequential, dispatch
@@ -25,9 +26,11 @@ from trl_explore.objectives.corrections import Correction, NoCorrection, log_rat
 from trl_explore.objectives.episodes import Episodes, entry, read_episodes
 from trl_explore.policies import LinearPolicy
 from trl_explore.policies.actor import (
+    GaussianActor,
     frame_distribution,
     frame_log_prob,
     has_linear_softmax,
+    is_softmax,
     score_sum,
 )
 from trl_explore.strategies import BaseStrategy
@@ -77,7 +80,9 @@ class ReinforceLoss(LossModule):
             and correction) are scaled to mean 0 and standard deviation 1. Biased.
         entropy_coeff: c >= 0; adds −w · c · Σ_t H(π(·|s_t)) to L_k (Williams & Peng 1991); with
             ``correction=behaviour``, the entropy of μ.
-        strategy: the strategy that collects the data; some corrections need it or reject it.
+        strategy: the strategy that collects the data, with the present parameters and in the
+            present iteration; some corrections need it or reject it. Where it is the target policy
+            by construction (softmax at T = 1), importance weights are exactly 1.
         trials: the number of trials; None: the largest "trial" in the data plus one.
         reduction: reduction over the trials' losses: "sum", "mean" or "none".
         functional: as in TorchRL: whether the parameters are copied into the loss's own container.
@@ -158,6 +163,9 @@ class ReinforceLoss(LossModule):
         self.normalize_advantage = check_flag("normalize_advantage", normalize_advantage)
         self.entropy_coeff = check_number("entropy_coeff", entropy_coeff, 0)
         actor_network = self.correction.actor(cast(ProbabilisticActor, actor_network), strategy)
+        known = isinstance(actor_network, GaussianActor) or is_softmax(actor_network)
+        # A bound method, so that the strategy does not become a part of the loss's state.
+        self._on_policy = strategy.on_policy if strategy is not None and known else _never
         self.trials = None if trials is None else check_integer("trials", trials, 1)
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}")
@@ -308,10 +316,13 @@ class ReinforceLoss(LossModule):
             behaviour = entry(episodes.tensordict, self.tensor_keys.sample_log_prob)
             target = frame_log_prob(self.actor_network, episodes.tensordict, action)
             log_ratio = log_ratio_of(target, behaviour.reshape(-1))
+            on_policy = torch.as_tensor(self._on_policy(), device=log_ratio.device)
+            per_frame = on_policy[episodes.trial] if on_policy.ndim else on_policy
+            log_ratio = log_ratio.masked_fill(per_frame, 0.0)  # 1 exactly, not up to rounding
         baseline = self.baseline(episodes)
         factor = self.correction.advantage(episodes, baseline, log_ratio)
         if self.discount_steps:
-            factor = factor * self.gamma ** episodes.step.to(factor.dtype)
+            factor = factor * _powers(self.gamma, episodes.step).to(factor.dtype)
         if self.normalize_advantage:
             factor = factor - episodes.trial_mean(factor)[episodes.trial]
             variance = episodes.trial_mean(factor**2)[episodes.trial]
@@ -332,6 +343,20 @@ class ReinforceLoss(LossModule):
         if self.reduction == "sum":
             return trial_loss.sum()
         return trial_loss.mean() if self.reduction == "mean" else trial_loss
+
+
+def _never() -> bool:
+    return False
+
+
+def _powers(gamma: float, exponent: Tensor) -> Tensor:
+    """γ^k of each k in ``exponent`` [n], as products in a fixed order.
+
+    The vectorised power differs in its last bit with the place of a number in the batch.
+    """
+    count = int(exponent.max()) if exponent.numel() else 0
+    table = np.multiply.accumulate(np.array([1.0, *[gamma] * count]))
+    return torch.from_numpy(table).to(exponent.device)[exponent]
 
 
 def linear_weight_key(actor: ProbabilisticTensorDictSequential) -> tuple[str, ...] | None:

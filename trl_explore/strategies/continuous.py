@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import reduce
-from typing import NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 from torchrl.data.tensor_specs import ContinuousBox
 
+from trl_explore.checks import holds, settle
 from trl_explore.numerics.densities import gaussian_log_prob
 from trl_explore.strategies.schedules import Value
 from trl_explore.strategies.strategy import BaseStrategy, exploring, rows
@@ -173,7 +175,18 @@ class ContinuousMixtureStrategy(ContinuousStrategy):
     so that all strategies of the family use the same random numbers. A subclass returns the weights
     and T for the current iteration from ``mixture``. If w_mean is not always 0, μ has no density,
     and the subclass sets ``exact = False``.
+
+    Attributes:
+        mixes_policy: whether ``mixture`` mixes the Gaussian of the target policy itself. False in a
+            class that overrides one of the methods in ``REPLACED``, unless the class declares it.
     """
+
+    REPLACED = ("forward", "draw", "log_prob")
+    mixes_policy: ClassVar[bool] = True
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        settle(cls, "mixes_policy", False, cls.REPLACED)
 
     @abstractmethod
     def mixture(self) -> ContinuousMixture:
@@ -187,6 +200,14 @@ class ContinuousMixtureStrategy(ContinuousStrategy):
         for name, value in self.mixture()._asdict().items():
             if isinstance(value, np.ndarray) and value.shape != (trials,):
                 raise ValueError(f"{name} has {value.size} values, but there are {trials} trials")
+
+    def on_policy(self) -> bool | NDArray[np.bool_]:
+        """Whether μ is the Gaussian of the policy: the mixture is Gaussian alone, at T = 1."""
+        mean, _, uniform, temperature = self.mixture()
+        if not (self.mixes_policy and holds(self, "mixes_policy", self.REPLACED)):
+            return False
+        found = np.equal(mean, 0) & np.equal(uniform, 0) & np.equal(temperature, 1)
+        return found if isinstance(found, np.ndarray) else bool(found)
 
     def draw(self, loc: Tensor, scale: Tensor, noise: Tensor, trial: Tensor | None) -> Tensor:
         """The action [*batch, n_dims] for noise [*batch, n_dims + 1]."""

@@ -10,10 +10,11 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from trl_explore.checks import settle
+from trl_explore.checks import holds, settle
 from trl_explore.strategies.schedules import Schedule, Value, as_schedule
 from trl_explore.strategies.strategy import Strategy, rows
 
@@ -42,14 +43,18 @@ class MixtureStrategy(Strategy):
         compilable: whether ``mixture`` and ``behaviour_parameters`` fully determine μ, so that a
             collector may compile the strategy. False in a class that overrides one of the methods
             in ``REPLACED``, which compiled code does not call, unless the class declares it.
+        mixes_policy: whether ``mixture`` mixes the logits of the target policy itself. False in a
+            class that overrides one of the methods in ``REPLACED``, unless the class declares it.
     """
 
     REPLACED = ("forward", "explore", "preferences", "probs")
     compilable: ClassVar[bool] = True
+    mixes_policy: ClassVar[bool] = True
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         settle(cls, "compilable", False, cls.REPLACED)
+        settle(cls, "mixes_policy", False, cls.REPLACED)
 
     @abstractmethod
     def mixture(self) -> Mixture:
@@ -61,6 +66,11 @@ class MixtureStrategy(Strategy):
         """Connect the strategy to its target policy."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
         self.checked_mixture(trials)
+
+    def on_policy(self) -> bool | NDArray[np.bool_]:
+        """Whether μ = softmax(logits): the mixture is softmax alone, at T = 1."""
+        mixed = holds(self, "mixes_policy", self.REPLACED)
+        return mixed and self.mixes_policy and is_softmax_alone(self.mixture())
 
     def checked_mixture(self, trials: int) -> Mixture:
         """The mixture of the current iteration, checked for ``trials`` trials.
@@ -99,6 +109,20 @@ class MixtureStrategy(Strategy):
         """μ(·|s) [*batch, n_actions] in the current iteration."""
         mixture = Mixture(*(rows(value, trial, logits) for value in self.mixture()))
         return mixture_probs(logits, mixture)
+
+
+def is_softmax_alone(mixture: Mixture) -> bool | NDArray[np.bool_]:
+    """Whether a mixture is softmax at T = 1; one value, or one per trial.
+
+    Example:
+        >>> is_softmax_alone(Mixture(softmax=1.0)), is_softmax_alone(Mixture(greedy=1.0))
+        (True, False)
+        >>> is_softmax_alone(Mixture(softmax=1.0, temperature=np.array([1.0, 0.5])))
+        array([ True, False])
+    """
+    others = np.equal(mixture.greedy, 0) & np.equal(mixture.uniform, 0)
+    found = others & np.equal(mixture.temperature, 1)
+    return found if isinstance(found, np.ndarray) else bool(found)
 
 
 def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:

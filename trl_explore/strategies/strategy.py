@@ -15,7 +15,7 @@ from torchrl.data import Categorical, Composite, OneHot, TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
 
 from trl_explore.checks import settle
-from trl_explore.strategies.schedules import Rows, Schedule
+from trl_explore.strategies.schedules import Constant, Rows, Schedule
 
 
 class BaseStrategy(TensorDictModuleBase):
@@ -96,6 +96,19 @@ class BaseStrategy(TensorDictModuleBase):
             ValueError: if a per-trial parameter does not have one value for every trial.
         """
         self._per_trial(trials)
+
+    def on_policy(self) -> bool | NDArray[np.bool_]:
+        """Whether μ = π by construction in the current iteration; one value, or one per trial.
+
+        Importance weights are then exactly 1, not 1 up to rounding.
+        """
+        return False
+
+    def is_target(self) -> bool:
+        """Whether μ = π by construction for every trial in every iteration."""
+        schedules = [value for value in vars(self).values() if isinstance(value, Schedule)]
+        fixed = all(type(schedule) is Constant for schedule in schedules)
+        return fixed and self.on_policy() is True
 
     def take(self, rows: slice, trials: int) -> None:
         """Keep only some of the trials: cut every per-trial parameter to their rows.

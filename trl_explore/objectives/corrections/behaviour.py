@@ -41,6 +41,8 @@ class Behaviour(NoCorrection):
                 f"{type(self).__name__} needs probabilities differentiable in the "
                 f"{'logits' if isinstance(strategy, Strategy) else 'policy'}; {name} has none"
             )
+        if strategy.is_target():
+            return actor
         if isinstance(strategy, ContinuousStrategy):
             return ContinuousBehaviourActor(actor, strategy)
         assert isinstance(strategy, Strategy)
