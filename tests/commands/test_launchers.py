@@ -251,9 +251,9 @@ def test_progress_is_quiet_in_a_process_among_others(monkeypatch):
         def isatty(self) -> bool:
             return True
 
-    assert Progress("x", Terminal()).live
+    assert Progress("x", [], Terminal()).live
     monkeypatch.setattr(Progress, "quiet", True)
-    assert not Progress("x", Terminal()).live
+    assert not Progress("x", [], Terminal()).live
 
 
 def test_a_worker_has_no_leader():

@@ -408,7 +408,7 @@ POLICY = "policy=gaussian_linear|gaussian_mlp"
             f"continuous ... Softmax and LinearPolicy; ... {STRATEGY}, {POLICY}",
         ),
         ("continuous both", "discrete ... Gaussian and GaussianLinearPolicy"),
-        ("no density", "loss: PerStep ... probability"),
+        ("no density", "loss: PerStep ... MeanAction"),
         ("fused", "collector: "),
         ("zero scale", "policy: initial_scale ... 0"),
         ("cold", "strategy: temperature ... > 0 ... 0"),
