@@ -16,7 +16,7 @@ from trl_explore.training.shards import Shards, partition
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])
-@pytest.mark.parametrize("trials", [1, 30, 127, 128, 300, 2048, 2049, 15_000])
+@pytest.mark.parametrize("trials", [1, 30, 127, 128, 300, 4096, 4097, 15_000])
 def test_a_partition_has_all_trials_and_fits_the_cache(trials, threads):
     sizes = partition(trials, threads)
     assert sum(sizes) == trials
@@ -28,8 +28,8 @@ def test_a_partition_has_all_trials_and_fits_the_cache(trials, threads):
 
 
 def test_one_thread_cuts_large_jobs_only():
-    assert partition(2048) == [2048]
-    assert len(partition(15_000)) == 8
+    assert partition(4096) == [4096]
+    assert len(partition(15_000)) == 4
 
 
 def records(*sizes: int, **options) -> list[Trials]:

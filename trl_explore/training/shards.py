@@ -21,10 +21,10 @@ from trl_explore.numerics.compiled.cache import clock
 from trl_explore.training.record import Trials
 from trl_explore.training.trainer import Trainer
 
-LARGEST = 2048
-"""Most trials in a shard: the frames of an iteration should stay in the processor's cache."""
-SMALLEST = 128
-"""Fewest trials in a shard: below, an iteration is mostly Python, which does not parallelise."""
+LARGEST = 4096
+"""Most trials in a shard: larger ones need more memory for the frames and are not faster."""
+SMALLEST = 500
+"""Fewest trials in a shard of several: the Python part of an iteration does not parallelise."""
 LOOK = 0.1
 """Seconds between two checks of the main thread for signals."""
 
@@ -33,10 +33,10 @@ def partition(trials: int, threads: int = 1) -> list[int]:
     """The sizes of the shards of a job.
 
     Example:
-        >>> partition(300), partition(300, threads=2), partition(30, threads=2)
-        ([300], [150, 150], [30])
+        >>> partition(300), partition(1500, threads=2), partition(300, threads=2)
+        ([300], [750, 750], [300])
         >>> partition(5000)
-        [1666, 1667, 1667]
+        [2500, 2500]
     """
     count = max(1, -(-trials // LARGEST), min(threads, trials // SMALLEST))
     if count >= threads:
