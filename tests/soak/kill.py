@@ -38,7 +38,7 @@ SWEEPS = {
         "checkpoint_seconds=0.02",
     ],
     "shards": [
-        "trials=600", "threads=2", "max_iterations=60", "strategy=softmax,epsilon_greedy",
+        "trials=1000", "threads=2", "max_iterations=60", "strategy=softmax,epsilon_greedy",
         "checkpoint_seconds=0.05",
     ],
     "every iteration": [
