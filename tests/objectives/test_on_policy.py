@@ -26,7 +26,13 @@ from trl_explore.strategies import (
 )
 from trl_explore.strategies.schedules import Linear
 
-CORRECTIONS = [PerStep(), PerDecision(), Trajectory(), PerStep(clip=2.0), Behaviour()]
+CORRECTIONS = {
+    "per_step": PerStep(),
+    "per_decision": PerDecision(),
+    "trajectory": Trajectory(),
+    "clipped": PerStep(clip=2.0),
+    "behaviour": Behaviour(),
+}
 
 
 def weights(build, strategy, correction, id="CartPole-v1", **options):
@@ -38,15 +44,17 @@ def weights(build, strategy, correction, id="CartPole-v1", **options):
 
 
 @pytest.mark.parametrize("id", ["CartPole-v1", "Acrobot-v1"])
-@pytest.mark.parametrize("correction", CORRECTIONS, ids=repr)
-def test_a_correction_changes_no_bit_on_policy(build, correction, id):
+@pytest.mark.parametrize("name", CORRECTIONS)
+def test_a_correction_changes_no_bit_on_policy(build, name, id):
+    correction = CORRECTIONS[name]
     plain = weights(build, Softmax(), NoCorrection(), id)
     assert torch.equal(weights(build, Softmax(), correction, id), plain)
     assert not torch.equal(weights(build, Softmax(0.5), correction, id), plain)
 
 
-@pytest.mark.parametrize("correction", [PerStep(), Trajectory()], ids=repr)
-def test_a_trial_whose_temperature_is_1_is_on_policy_among_others(build, correction):
+@pytest.mark.parametrize("name", ["per_step", "trajectory"])
+def test_a_trial_whose_temperature_is_1_is_on_policy_among_others(build, name):
+    correction = CORRECTIONS[name]
     both = Softmax([1.0, 0.5, 1.0, 2.0])
     found, plain = weights(build, both, correction), weights(build, Softmax(), NoCorrection())
     assert torch.equal(found[::2], plain[::2])
