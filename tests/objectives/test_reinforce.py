@@ -690,3 +690,17 @@ def test_an_advantage_of_return_minus_baseline_is_what_is_weighted(env):
     one, two = (ReinforceLoss(actor, weight=w)(data)["loss_actor"] for w in (1.0, 2.0))
     assert two.item() == pytest.approx(2 * one.item())
     assert ReinforceLoss(actor, baseline=3.0)(data)["loss_actor"].item() == 0
+
+
+@pytest.mark.parametrize(
+    "dtype", [torch.int64, torch.int32, torch.bool, torch.bfloat16, torch.float16]
+)
+def test_returns_of_rewards_of_other_types_are_float32(dtype):
+    end = torch.zeros(600, 1, dtype=torch.bool)
+    frames = {"observation": torch.zeros(600, 4), "action": torch.zeros(600, dtype=torch.int64)}
+    after = {"reward": torch.ones(600, 1, dtype=dtype), "done": end}
+    data = TensorDict({**frames, "next": after}, [600])
+    returns = ReinforceLoss(torch_actor(), gamma=0.5).advantage(data)
+    assert returns.dtype == torch.float32
+    assert returns[-2:].tolist() == [1.5, 1.0]
+    assert ReinforceLoss(torch_actor(), gamma=1.0).advantage(data)[0].item() == 600

@@ -18,7 +18,9 @@ from torchrl.data import (
 from trl_explore.strategies import (
     VDBE,
     CountBonus,
+    EpsilonGreedy,
     EpsilonZGreedy,
+    Gaussian,
     ParameterNoise,
     Softmax,
     Strategy,
@@ -256,3 +258,32 @@ def test_actions_are_one_hot(dtype, wrap):
 def test_specs_that_cannot_be_served(spec):
     with pytest.raises(ValueError, match=r"Categorical.*OneHot"):
         Fixed(spec=spec)
+
+
+@pytest.mark.parametrize("dtype", [torch.bool, torch.int8, torch.uint8, torch.int64, torch.float32])
+def test_a_mask_of_any_number_type_is_obeyed(dtype):
+    mask = torch.tensor([[0, 1, 1]], dtype=dtype)
+    data = TensorDict({"logits": torch.tensor([[2.0, 1.0, 0.0]]), "action_mask": mask}, [1])
+    written = EpsilonGreedy(0.0)(data)
+    assert written["action"].tolist() == [1]
+    assert written["action_log_prob"].tolist() == [0.0]
+
+
+def test_a_mask_of_another_shape_is_one_line():
+    data = TensorDict({"logits": torch.zeros(2, 3), "action_mask": torch.ones(2, 4)}, [2])
+    with pytest.raises(ValueError, match=r"action_mask.*\[2, 4\].*\[2, 3\]"):
+        EpsilonGreedy(0.1)(data)
+
+
+@pytest.mark.parametrize("spec", [Categorical(2), OneHot(2)], ids=["categorical", "one_hot"])
+@pytest.mark.parametrize("n", [1, 3])
+def test_logits_that_do_not_fit_the_spec_are_refused(spec, n):
+    with pytest.raises(ValueError, match=rf"logits.*{n}.*2 actions"):
+        EpsilonGreedy(0.1, spec=spec)(TensorDict({"logits": torch.zeros(5, n)}, [5]))
+
+
+def test_a_missing_key_is_named_with_what_is_there():
+    with pytest.raises(KeyError, match=r"logits.*action_value"):
+        EpsilonGreedy(0.1)(TensorDict({"action_value": torch.zeros(3, 2)}, [3]))
+    with pytest.raises(KeyError, match=r"scale.*loc"):
+        Gaussian()(TensorDict({"loc": torch.zeros(3, 1)}, [3]))

@@ -145,6 +145,8 @@ def read_episodes(
     """
     after = entry(tensordict, "next")
     reward = entry(after, keys.reward).detach().squeeze(-1)
+    if reward.dtype not in (torch.float32, torch.float64):
+        reward = reward.float()  # sums of integers truncate, those of half precision round
     done = entry(after, keys.done).squeeze(-1)
     trial = tensordict.get(keys.trial, None)
     if trial is None:

@@ -18,7 +18,7 @@ from torchrl.data.tensor_specs import ContinuousBox
 from trl_explore.checks import holds, settle
 from trl_explore.numerics.densities import gaussian_log_prob
 from trl_explore.strategies.schedules import Value
-from trl_explore.strategies.strategy import BaseStrategy, exploring, rows
+from trl_explore.strategies.strategy import BaseStrategy, exploring, read, rows
 
 
 class ContinuousStrategy(BaseStrategy):
@@ -112,7 +112,7 @@ class ContinuousStrategy(BaseStrategy):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw "action" from μ and write "action_log_prob"."""
-        loc, scale = tensordict.get(self.loc_key), tensordict.get(self.scale_key)
+        loc, scale = read(tensordict, self.loc_key), read(tensordict, self.scale_key)
         self._check(loc)
         if exploring():
             trial = tensordict.get("trial", None)

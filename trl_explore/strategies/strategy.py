@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import torch
@@ -181,6 +181,19 @@ class BaseStrategy(TensorDictModuleBase):
         return noise.to(like.device).reshape(shape)
 
 
+def read(tensordict: TensorDictBase, key: NestedKey) -> Tensor:
+    """The entry under ``key``.
+
+    Raises:
+        KeyError: if it is missing; the message names the entries that are there.
+    """
+    value = tensordict.get(key, None)
+    if value is None:
+        there = ", ".join(map(str, tensordict.keys(include_nested=True, leaves_only=True)))
+        raise KeyError(f"missing key: {key!r}; the data have {there or 'no entries'}")
+    return value
+
+
 def exploring() -> bool:
     """Whether TorchRL's exploration type is RANDOM or unset."""
     return exploration_type() in (ExplorationType.RANDOM, None)
@@ -212,8 +225,8 @@ class Strategy(BaseStrategy):
     The strategy explores if TorchRL's exploration type is RANDOM or unset. Under MODE, MEAN or
     DETERMINISTIC it takes the first action of largest logit, with log-probability 0.
 
-    Reads "logits" [*batch, n_actions] and, if present, "action_mask" [*batch, n_actions] (bool,
-    False: μ forbids the action), "noise" [*batch] (the u above) and "trial" [*batch].
+    Reads "logits" [*batch, n_actions] and, if present, "action_mask" [*batch, n_actions] (bool
+    or 0 and 1; False: μ forbids the action), "noise" [*batch] (the u above) and "trial" [*batch].
     Writes "action" ([*batch] int64, or one-hot [*batch, n_actions] under a ``OneHot`` spec) and
     "action_log_prob" [*batch] (nats, under μ).
 
@@ -258,6 +271,7 @@ class Strategy(BaseStrategy):
                 f"the action spec must be Categorical or OneHot, got {type(spec).__name__}"
             )
         self.spec = spec
+        self._n_actions = None if spec is None else int(cast(Any, spec.space).n)
         self.logits_key, self.action_mask_key = logits_key, action_mask_key
 
     @abstractmethod
@@ -272,12 +286,15 @@ class Strategy(BaseStrategy):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw "action" from μ and write "action_log_prob"."""
-        logits = tensordict.get(self.logits_key)
+        logits = read(tensordict, self.logits_key)
+        if self._n_actions not in (None, logits.shape[-1]):
+            raise ValueError(
+                f"{self.logits_key!r} has {logits.shape[-1]} entries per frame, "
+                f"but the action spec has {self._n_actions} actions"
+            )
         mask = tensordict.get(self.action_mask_key, None)
         if mask is not None:
-            if not mask.any(-1).all():
-                raise ValueError("the action mask forbids every action of a state")
-            logits = logits.masked_fill(~mask, -torch.inf)
+            logits = logits.masked_fill(~self._legal(mask, logits), -torch.inf)
         if exploring():
             action, log_prob = self.explore(tensordict, logits, self._noise(tensordict, logits))
         else:
@@ -287,6 +304,22 @@ class Strategy(BaseStrategy):
         if self.exact:
             tensordict.set("action_log_prob", log_prob)
         return tensordict
+
+    def _legal(self, mask: Tensor, logits: Tensor) -> Tensor:
+        """The action mask [*batch, n_actions] as bool.
+
+        Raises:
+            ValueError: if its shape is not that of the logits, or a state has no legal action.
+        """
+        if mask.shape != logits.shape:
+            raise ValueError(
+                f"{self.action_mask_key!r} is {list(mask.shape)}, but the logits are "
+                f"{list(logits.shape)}"
+            )
+        mask = mask.bool()  # environments also give int8 or uint8
+        if not mask.any(-1).all():
+            raise ValueError("the action mask forbids every action of a state")
+        return mask
 
     def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
         """The input of ``probs``: by default, the logits of the target policy.
