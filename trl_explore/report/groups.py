@@ -209,9 +209,10 @@ def plane(configurations: Sequence[Outcomes]) -> Plane | None:
     points: dict[tuple[float, float], str] = {}
     for c in configurations:
         values = [c.parameters.get(key) for key in keys]
-        if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+        numbers = [v for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
+        if len(numbers) < len(values):
             return None
-        x, y = (float(v) for v in values)  # type: ignore[arg-type]
+        x, y = map(float, numbers)
         points[x, y] = c.name
     xs, ys = (tuple(sorted({point[k] for point in points})) for k in (0, 1))
     if min(len(xs), len(ys)) < PLANE_FROM or len(points) < len(configurations):

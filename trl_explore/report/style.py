@@ -144,8 +144,8 @@ def shade(color: str, k: int, count: int) -> str:
     """Shade k of a colour, from darker to lighter."""
     amount = -0.45 + 0.85 * k / max(1, count - 1)
     target = 0.0 if amount < 0 else 1.0
-    mixed = [c + (target - c) * abs(amount) for c in to_rgb(color)]
-    return to_hex(mixed)  # type: ignore[arg-type]
+    red, green, blue = (c + (target - c) * abs(amount) for c in to_rgb(color))
+    return to_hex((red, green, blue))
 
 
 _SETTINGS: Mapping[str, Any] = {
@@ -203,7 +203,8 @@ def dark_variant(color: str) -> str:
     if rgb_to_hsv(rgb)[1] < 0.2:
         grey = sum(rgb) / 3
         paper, ink = to_rgb(DARK_PAPER), 0.93
-        return to_hex([ink + (p - ink) * grey for p in paper])  # type: ignore[arg-type]
+        red, green, blue = (ink + (p - ink) * grey for p in paper)
+        return to_hex((red, green, blue))
     step = 0
     while contrast(to_hex(rgb), DARK_PAPER) < MIN_CONTRAST and step < 40:
         red, green, blue = (c + (1.0 - c) * 0.06 for c in rgb)

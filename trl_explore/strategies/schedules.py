@@ -289,7 +289,8 @@ def as_schedule(
     """
     if not isinstance(value, Schedule):
         single = isinstance(value, str) or np.ndim(value) == 0
-        for number in [value] if single else value:  # type: ignore[union-attr]
+        numbers: Any = [value] if single else value
+        for number in numbers:
             check_number(name, _scalar(number), low, high, low_open=low_open)
         return Constant(value)
     for bound in value.bounds:
