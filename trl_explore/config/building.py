@@ -111,13 +111,11 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from tensordict.nn import TensorDictSequential
 
     from trl_explore.collectors import auto_collector
-    from trl_explore.numerics.compiled.cache import lock_cache
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.record import Trials
     from trl_explore.training.trainer import Trainer
 
-    lock_cache()
     size = rows.stop - rows.start
     trials = _build(
         None,
