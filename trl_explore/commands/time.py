@@ -70,7 +70,7 @@ def compose_job(folder: Path, config_dir: Path | None = None) -> Job:
         key = override.key_or_group
         if override.is_sweep_override() or key.startswith("hydra") or "_target_" in key:
             raise ConfigError(f"{recorded}: {override.input_line!r} is not allowed in a rerun")
-    own = [f"hydra.searchpath=['{config_dir.resolve()}']"] if config_dir else []
+    own = [f"hydra.searchpath=['{CONF}']"] if config_dir else []
     composed = compose("train", overrides=[*overrides, *own], return_hydra_config=True)
     choices = dict(composed.hydra.runtime.choices)
     with open_dict(composed):
@@ -93,11 +93,10 @@ def compose_job(folder: Path, config_dir: Path | None = None) -> Job:
 @cache
 def _known(config_dir: Path | None) -> frozenset[str]:
     """The objects that the files of ``conf/`` and of the user construct; no others are allowed."""
-    folders = [CONF, *([config_dir] if config_dir else [])]
-    files = [path for f in folders for group in GROUPS for path in (f / group).glob("*.yaml")]
     return frozenset(
         str(target)
-        for path in files
+        for group in GROUPS
+        for path in configuration.files_of(group).values()
         for target in _targets(OmegaConf.to_container(OmegaConf.load(path)))
     )
 
@@ -167,7 +166,8 @@ def run(folders: list[Path], trials: int, config_dir: Path | None = None) -> Non
     if not found:
         raise ConfigError(f"{', '.join(map(str, folders))}: no finished job found")
     configuration.register_resolvers()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
+    configuration.search_in([config_dir] if config_dir else [])
+    with initialize_config_dir(str((config_dir or CONF).resolve()), version_base="1.3"):
         jobs = [compose_job(folder, config_dir) for folder in found]
     sweeps = dict.fromkeys(job.folder.parent for job in jobs)
     kept = {sweep: results.read_timings(sweep) for sweep in sweeps}

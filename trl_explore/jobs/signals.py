@@ -86,6 +86,8 @@ def leave_on_signals() -> None:
 
 def leave(error: Interrupted) -> NoReturn:
     """Print why the process ends, and end it with the conventional status."""
+    for signum in _served():  # a second signal must not interrupt this
+        signal.signal(signum, signal.SIG_IGN)
     print(f"{error}{error.where}; run the same command to resume", file=sys.stderr, flush=True)
     os._exit(error.status)
 
