@@ -19,6 +19,7 @@ COMMANDS = {
     "report": "turn job and sweep folders into one HTML page",
     "status": "show which jobs are done, running, failed or left",
     "time": "time single trials of finished jobs",
+    "verify": "run finished jobs again and compare the results",
 }
 LABORATORY = {
     "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas",

@@ -78,6 +78,8 @@ def begin_worker() -> None:
     """Print only whole lines, because this process shares the terminal with others."""
     from trl_explore.jobs.console import Progress
 
+    if configuration.current_choices().get("hydra/launcher") == "joblib":
+        signals.end_with_parent()
     Progress.quiet = True
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):

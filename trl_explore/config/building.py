@@ -88,14 +88,14 @@ def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shar
     return Shards(trainers)
 
 
-def build_trainer(config: DictConfig) -> Trainer:
-    """Build one trainer for all trials of a job.
+def build_trainer(config: DictConfig, rows: slice | None = None) -> Trainer:
+    """Build one trainer for some of a job's trials; None: for all.
 
     Raises:
         ConfigError: if a value is not allowed.
     """
     _check(config)
-    return _build_trainer(config, slice(0, config.trials))
+    return _build_trainer(config, rows or slice(0, config.trials), announce=rows is None)
 
 
 def _check(config: DictConfig) -> None:
