@@ -122,6 +122,19 @@ TRIAL_COLUMNS: dict[str, Column] = {
     "seconds": Column(numbers, "{:.6f}".format),
     "status": Column(statuses),
 }
+PASS_COLUMNS: dict[str, Column] = {
+    "passed": Column(booleans),
+    "iterations_to_pass": Column(integers),
+    "frames_to_pass": Column(integers),
+}
+"""Further columns of ``trials.csv``; files of older versions have none."""
+LEARN_COLUMNS: dict[str, Column] = {
+    "learned": Column(booleans),
+    "iterations_to_learn": Column(integers),
+    "frames_to_learn": Column(integers),
+    "learned_score": Column(numbers),
+}
+"""Further columns of ``trials.csv`` of a job that has evaluations."""
 EPISODE_COLUMNS: dict[str, Column] = {
     "trial": Column(integers),
     "iteration": Column(integers),
@@ -157,13 +170,17 @@ def join_rows(names: Iterable[str], rows: Iterable[str]) -> str:
 
 
 def read_table(
-    path: Path, columns: Mapping[str, Column], *, header: bool = True
+    path: Path,
+    columns: Mapping[str, Column],
+    *groups: Mapping[str, Column],
+    header: bool = True,
 ) -> dict[str, NDArray[Any]]:
     """Read the given columns of a table; the others are ignored.
 
     Args:
         path: the file.
         columns: by name.
+        groups: further columns; of each group, the file has all or none.
         header: whether the first line names the columns; if not, they are ``columns``, in order.
 
     Raises:
@@ -174,6 +191,9 @@ def read_table(
     for number, fields in enumerate(rows, start=1 + header):
         if len(fields) != len(names):
             raise ResultsError(f"{path}: line {number} has {len(fields)} fields, not {len(names)}")
+    for group in groups:
+        if any(name in names for name in group):
+            columns = {**columns, **group}
     missing = [name for name in columns if name not in names]
     if missing:
         raise ResultsError(f"{path}: missing column: {', '.join(missing)}")

@@ -18,6 +18,8 @@ from trl_explore.jobs.columns import (
     CURVE_COLUMNS,
     EPISODE_COLUMNS,
     EPISODES,
+    LEARN_COLUMNS,
+    PASS_COLUMNS,
     RUN,
     RUN_KEYS,
     SCALARS,
@@ -106,13 +108,22 @@ def read_trials(job: Path) -> pd.DataFrame:
 
 def _trials(job: Path) -> dict[str, NDArray[Any]]:
     """The columns of ``trials.csv``, each [n_trials]."""
-    columns = read_table(job / TRIALS, TRIAL_COLUMNS)
+    columns = read_table(job / TRIALS, TRIAL_COLUMNS, PASS_COLUMNS, LEARN_COLUMNS)
     if (columns["iterations"] < 1).any() or (columns["frames"] < 1).any():
         raise ResultsError(f"{job / TRIALS}: a trial has no iterations or no frames")
     if (np.diff(columns["trial"]) != 1).any():
         raise ResultsError(f"{job / TRIALS}: the trials are not consecutive")
     if (columns["converged"] != (columns["status"] == "converged")).any():
         raise ResultsError(f"{job / TRIALS}: status and converged contradict each other")
+    for event, name, least in (("passed", "pass", 1), ("learned", "learn", 0)):
+        if event not in columns:
+            continue
+        for kind, low in (("iterations", least), ("frames", least)):
+            until, total = columns[f"{kind}_to_{name}"], columns[kind]
+            if ((until < low) | (until > total) | (~columns[event] & (until != total))).any():
+                raise ResultsError(
+                    f"{job / TRIALS}: {kind}_to_{name} contradicts {event} or {kind}"
+                )
     return columns
 
 
@@ -229,7 +240,8 @@ def read_job(job: Path) -> Outcomes:
     Raises:
         ResultsError: if the folder holds no finished job, or its files contradict each other.
     """
-    run, columns = read_run(job), _trials(job)
+    run = read_run(job)
+    columns: dict[str, Any] = dict(_trials(job))
     config = run["config"]
     if len(columns["trial"]) != run["trials"]:
         raise ResultsError(
