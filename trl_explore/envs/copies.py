@@ -120,14 +120,19 @@ class Copies:
             signals.read_mask(row, info)
 
     def step(self, rows: Rows, actions: NDArray[Any], signals: Signals) -> None:
-        """Step the copies ``rows`` [m] with their actions [m, ...]."""
+        """Step the copies ``rows`` [m] with their actions [m, ...].
+
+        An environment gets a Python int, or an array of its own, which it may keep or change.
+        """
         observation, reward = signals.observation, signals.reward
         terminated, truncated = signals.terminated, signals.truncated
-        for row, action in zip(rows.tolist(), actions, strict=True):
-            observation[row], reward[row], terminated[row], truncated[row], info = self.envs[
-                row
-            ].step(action)
-            signals.read_mask(row, info)
+        envs, masked = self.envs, signals.mask.shape[1] > 0
+        own = actions.tolist() if actions.ndim == 1 else [action.copy() for action in actions]
+        for row, action in zip(rows.tolist(), own, strict=True):
+            result = envs[row].step(action)
+            observation[row], reward[row], terminated[row], truncated[row], info = result
+            if masked:
+                signals.read_mask(row, info)
 
     def close(self) -> None:
         """Close every copy."""

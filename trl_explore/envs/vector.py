@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from trl_explore.checks import LARGEST, check_integer
-from trl_explore.envs.copies import Copies, Make, ProcessCopies, Signals
+from trl_explore.envs.copies import Copies, Make, ProcessCopies, Rows, Signals
 from trl_explore.envs.gym import make_gym
 from trl_explore.numerics.streams import Stream, generator
 
@@ -94,7 +94,7 @@ class LaneVectorEnv(VectorEnv):
         n_features = (env.observation_space.shape or (0,))[0]
         masked = _mask_size(make, env.action_space)
         self.has_masks = masked > 0
-        self._signals = Signals.of(num_envs, n_features, masked)
+        self.signals = Signals.of(num_envs, n_features, masked)
         self._running = np.zeros(num_envs, dtype=np.bool_)
         if self.workers == 1:
             self._copies = Copies(make, num_envs, env)
@@ -125,19 +125,32 @@ class LaneVectorEnv(VectorEnv):
         if seed is not None:
             self.reseed(seed)
         mask = (options or {}).get("reset_mask")
-        lanes = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
+        self.begin(np.arange(self.num_envs) if mask is None else np.flatnonzero(mask))
+        self.check()
+        return self.signals.observation.copy(), self._info()
+
+    def begin(self, lanes: Rows) -> None:
+        """Begin the next episode in some lanes; ``signals`` has the first observations.
+
+        A collector that calls ``begin`` and ``advance`` reads ``signals`` in place. It calls
+        ``check``, unless it has checked by itself that all numbers are finite.
+        """
         self._copies.reset(
             lanes,
             self.first_trial + lanes,
             self.episodes[lanes],
             self.seed,
             self.stream,
-            self._signals,
+            self.signals,
         )
         self.episodes[lanes] += 1
         self._running[lanes] = True
-        self._check()
-        return self._signals.observation.copy(), self._info()
+
+    def advance(self, lanes: Rows, actions: NDArray[Any]) -> None:
+        """Step some unfinished lanes with their actions [m, ...]; ``signals`` has the outputs."""
+        signals = self.signals
+        self._copies.step(lanes, self._allowed(actions, lanes), signals)
+        self._running[lanes] = ~(signals.terminated[lanes] | signals.truncated[lanes])
 
     def step(
         self, actions: NDArray[Any]
@@ -145,12 +158,11 @@ class LaneVectorEnv(VectorEnv):
         NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
     ]:
         """Step the unfinished lanes; a finished one repeats its last observation with reward 0."""
-        signals = self._signals
+        signals = self.signals
         lanes = np.flatnonzero(self._running)
         signals.reward[:] = 0
-        self._copies.step(lanes, self._allowed(np.asarray(actions)[lanes], lanes), signals)
-        self._running &= ~(signals.terminated | signals.truncated)
-        self._check()
+        self.advance(lanes, np.asarray(actions)[lanes])
+        self.check()
         return (
             signals.observation.copy(),
             signals.reward.copy(),
@@ -170,14 +182,18 @@ class LaneVectorEnv(VectorEnv):
         return np.clip(actions, space.low, space.high, dtype=space.dtype)
 
     def _info(self) -> dict[str, Any]:
-        return {"action_mask": self._signals.mask.copy()} if self.has_masks else {}
+        return {"action_mask": self.signals.mask.copy()} if self.has_masks else {}
 
-    def _check(self) -> None:
-        """Reject non-finite observations and rewards, and masks that forbid every action."""
+    def check(self) -> None:
+        """Reject non-finite observations and rewards, and masks that forbid every action.
+
+        Raises:
+            ValueError: naming environment, episode and trial.
+        """
         observation, reward, mask = (
-            self._signals.observation,
-            self._signals.reward,
-            self._signals.mask,
+            self.signals.observation,
+            self.signals.reward,
+            self.signals.mask,
         )
         if not np.isfinite(observation).all():
             lane, i = (int(k[0]) for k in np.nonzero(~np.isfinite(observation)))
