@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from trl_explore.checks import LARGEST, check_integer
-from trl_explore.envs.copies import Copies, Make, ProcessCopies, Rows, Signals
+from trl_explore.envs.copies import Copies, Make, ProcessCopies, Signals
 from trl_explore.envs.gym import make_gym
 from trl_explore.numerics.streams import Stream, generator
 
@@ -125,32 +125,33 @@ class LaneVectorEnv(VectorEnv):
         if seed is not None:
             self.reseed(seed)
         mask = (options or {}).get("reset_mask")
-        self.begin(np.arange(self.num_envs) if mask is None else np.flatnonzero(mask))
-        self.check()
+        self.begin(range(self.num_envs) if mask is None else np.flatnonzero(mask).tolist())
         return self.signals.observation.copy(), self._info()
 
-    def begin(self, lanes: Rows) -> None:
+    def begin(self, lanes: Sequence[int]) -> None:
         """Begin the next episode in some lanes; ``signals`` has the first observations.
 
-        A collector that calls ``begin`` and ``advance`` reads ``signals`` in place. It calls
-        ``check``, unless it has checked by itself that all numbers are finite.
+        This and ``advance`` are ``reset`` and ``step`` without copies.
         """
+        rows = np.array(lanes)
         self._copies.reset(
-            lanes,
-            self.first_trial + lanes,
-            self.episodes[lanes],
+            rows,
+            self.first_trial + rows,
+            self.episodes[rows],
             self.seed,
             self.stream,
             self.signals,
         )
-        self.episodes[lanes] += 1
-        self._running[lanes] = True
+        self.episodes[rows] += 1
+        self._running[rows] = True
+        self._check()
 
-    def advance(self, lanes: Rows, actions: NDArray[Any]) -> None:
+    def advance(self, lanes: Sequence[int], actions: NDArray[Any]) -> None:
         """Step some unfinished lanes with their actions [m, ...]; ``signals`` has the outputs."""
-        signals = self.signals
-        self._copies.step(lanes, self._allowed(actions, lanes), signals)
-        self._running[lanes] = ~(signals.terminated[lanes] | signals.truncated[lanes])
+        signals, rows = self.signals, np.array(lanes)
+        self._copies.step(rows, self._allowed(actions, rows), signals)
+        self._running[rows] = ~(signals.terminated[rows] | signals.truncated[rows])
+        self._check()
 
     def step(
         self, actions: NDArray[Any]
@@ -161,8 +162,7 @@ class LaneVectorEnv(VectorEnv):
         signals = self.signals
         lanes = np.flatnonzero(self._running)
         signals.reward[:] = 0
-        self.advance(lanes, np.asarray(actions)[lanes])
-        self.check()
+        self.advance(lanes.tolist(), np.asarray(actions)[lanes])
         return (
             signals.observation.copy(),
             signals.reward.copy(),
@@ -184,12 +184,8 @@ class LaneVectorEnv(VectorEnv):
     def _info(self) -> dict[str, Any]:
         return {"action_mask": self.signals.mask.copy()} if self.has_masks else {}
 
-    def check(self) -> None:
-        """Reject non-finite observations and rewards, and masks that forbid every action.
-
-        Raises:
-            ValueError: naming environment, episode and trial.
-        """
+    def _check(self) -> None:
+        """Reject non-finite observations and rewards, and masks that forbid every action."""
         observation, reward, mask = (
             self.signals.observation,
             self.signals.reward,

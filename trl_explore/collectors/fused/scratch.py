@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.collectors.fused.lanes import FRAME, LANES
-from trl_explore.collectors.fused.networks import Network
+from trl_explore.collectors.networks import Network
 from trl_explore.envs.kernels import Kernel
 from trl_explore.numerics.compiled.arrays import borrow
 from trl_explore.numerics.compiled.cache import kernel_function
@@ -39,6 +39,8 @@ class Scratch(NamedTuple):
     """The number of frames [slots]."""
     ended: NDArray[np.bool_]
     """Whether the last frame terminated the episode [slots]."""
+    score: NDArray[np.float64]
+    """The sum of the rewards, in double [slots]."""
     own: Any
     """``own`` and ``hidden`` of ``Network.memory``, with one weight slot per SIMD lane."""
     hidden: NDArray[np.float32]
@@ -64,6 +66,7 @@ def scratch(
         np.empty(n * n_masks, dtype=np.bool_),
         np.empty(slots, dtype=np.int64),
         np.empty(slots, dtype=np.bool_),
+        np.empty(slots, dtype=np.float64),
         own,
         hidden,
     )
@@ -85,7 +88,7 @@ def row_of(frames, lanes, j, size):
 def compile_deliver(record: int, narrow: bool, n_features: int, n_masks: int) -> Any:
     """The function that copies the episode in a slot to the data, from frame ``start`` on.
 
-    It returns the episode's score. Separate loops over the columns become vector instructions.
+    Separate loops over the columns become vector instructions.
     """
 
     @kernel_function
@@ -122,7 +125,6 @@ def compile_deliver(record: int, narrow: bool, n_features: int, n_masks: int) ->
         done[end - 1] = True
         terminated[end - 1] = scratch.ended[slot]
         truncated[end - 1] = n == max_steps
-        return total[n - 1]
 
     return deliver
 
