@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from math import isfinite
 from typing import Any
@@ -110,7 +110,6 @@ class LaneVectorEnv(VectorEnv):
         self.signals = Signals.of(num_envs, n_features, masked)
         self._flat = self.signals.observation.reshape(-1)
         self._running = np.zeros(num_envs, dtype=np.bool_)
-        self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._continuous = isinstance(self.single_action_space, Box)
         if self.workers == 1:
             self._copies = Copies(id, make, self.signals, env)
@@ -140,7 +139,8 @@ class LaneVectorEnv(VectorEnv):
         if seed is not None:
             self.reseed(seed)
         mask = (options or {}).get("reset_mask")
-        self.begin(range(self.num_envs) if mask is None else np.flatnonzero(mask).tolist())
+        self.begin(np.arange(self.num_envs) if mask is None else np.flatnonzero(mask))
+        self.check()
         return self.signals.observation.copy(), self._info()
 
     def step(
@@ -152,7 +152,8 @@ class LaneVectorEnv(VectorEnv):
         signals = self.signals
         signals.reward[:] = 0
         lanes = np.flatnonzero(self._running)
-        self.advance(lanes.tolist(), np.asarray(actions)[lanes])
+        self.advance(lanes, np.asarray(actions)[lanes])
+        self.check()
         return (
             signals.observation.copy(),
             signals.reward.copy(),
@@ -161,42 +162,50 @@ class LaneVectorEnv(VectorEnv):
             self._info(),
         )
 
-    def begin(self, lanes: Sequence[int]) -> None:
+    def begin(self, lanes: NDArray[np.int64]) -> None:
         """Begin the episode ``episodes[k]`` in some lanes; ``signals`` then has their start.
 
-        This and ``advance`` are ``reset`` and ``step`` without copies.
-        """
-        trials = [self.first_trial + lane for lane in lanes]
-        episodes = self.episodes[lanes].tolist()
-        self._copies.reset(lanes, trials, episodes, self.seed, self.stream)
-        self.episodes[lanes] += 1
-        self._running[lanes] = True
-        self._check()
-
-    def advance(self, lanes: Sequence[int], actions: NDArray[Any]) -> None:
-        """Step some lanes with their actions [m] or [m, n_dims]; ``signals`` has their answers.
-
-        The lanes must be unfinished. The rows of other lanes in ``signals`` stay as they are.
+        A collector that calls ``begin`` and ``advance`` reads ``signals`` in place, and calls
+        ``check`` after each, unless it checks by itself that the observations are finite.
 
         Raises:
             EnvError: if an environment fails, or returns what it must not; one line with the
                 environment, the trial and the episode.
-            ValueError: if an action is not finite.
+        """
+        self._copies.reset(
+            lanes.tolist(),
+            (self.first_trial + lanes).tolist(),
+            self.episodes[lanes].tolist(),
+            self.seed,
+            self.stream,
+        )
+        self.episodes[lanes] += 1
+        self._running[lanes] = True
+
+    def advance(self, lanes: NDArray[np.int64], actions: NDArray[Any]) -> None:
+        """Step some unfinished lanes with their actions [m] or [m, n_dims]; fills ``signals``.
+
+        The rows of other lanes stay as they are.
+
+        Raises:
+            EnvError: as for ``begin``, or if an action is not finite.
         """
         if self._continuous and not np.isfinite(actions).all():
             k = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
             raise self._error(lanes[k], f"got the non-finite action {actions[k].tolist()}")
-        self._copies.step(lanes, self.actions.read(actions))
+        self._copies.step(lanes.tolist(), self.actions.read(actions))
         signals = self.signals
-        np.logical_or(signals.terminated, signals.truncated, out=self._ended)
-        self._running[self._ended] = False
-        self._check()
+        self._running[lanes] = ~(signals.terminated[lanes] | signals.truncated[lanes])
 
     def _info(self) -> dict[str, Any]:
         return {"action_mask": self.signals.mask.copy()} if self.has_masks else {}
 
-    def _check(self) -> None:
-        """Reject non-finite observations, and masks that forbid every action."""
+    def check(self) -> None:
+        """Reject non-finite observations, and masks that forbid every action.
+
+        Raises:
+            EnvError: with environment, episode and trial.
+        """
         # A sum of squares is fast, and not finite if one of them is not.
         if not isfinite(self._flat.dot(self._flat)):
             observation = self.signals.observation
