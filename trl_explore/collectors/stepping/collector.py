@@ -159,7 +159,8 @@ class SteppingCollector(EpisodeCollector):
         lanes.episodes[:] = episodes
         lanes.running[:] = False
         self.strategy.begin(active, episodes)
-        lanes.begin(trials.tolist())
+        lanes.begin(trials)
+        lanes.check()
         left = len(trials)
         state.rows[:left], state.episodes[:] = trials, episodes
         self._reserve(place + FIRST_FRAMES * left, place)
@@ -174,7 +175,8 @@ class SteppingCollector(EpisodeCollector):
             if modules:
                 modules.act()
                 turn(ACT, *context[:2], place, left, *context[2:], self._log)
-            lanes.advance(rows[:left].tolist(), action[:left])
+            lanes.advance(rows[:left], action[:left])
+            lanes.check()
             if place + 2 * left > self._capacity:
                 self._reserve(2 * self._capacity, place + left)
             left, place = turn(RECORD | after, *context[:2], place, left, *context[2:], self._log)
