@@ -55,9 +55,8 @@ def test_shares_are_those_that_a_t_test_does_not_reject():
     assert found.value == pytest.approx(x.mean() / y.mean())
     for bound in (found.low, found.high):
         assert p_of_mean(x - bound * y) == pytest.approx(0.05)
-    t, p = stats.ttest_1samp(x, 5)
+    _, p = stats.ttest_1samp(x, 5)
     assert p_of_mean(x - 5) == pytest.approx(p)
-    assert t > 0
 
 
 def test_a_whole_that_may_be_nothing_has_no_shares():
