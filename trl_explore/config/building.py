@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from trl_explore.objectives.baselines import Baseline
     from trl_explore.training.evaluation import Evaluator
+    from trl_explore.training.intrinsic import CountReward
     from trl_explore.training.shards import Shards
     from trl_explore.training.trainer import Trainer
 
@@ -154,6 +155,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     if config.diagnostics:
         diagnostics = Diagnostics(actor, strategy, size, policy.parameters())
     evaluator = _evaluator(config, policy, strategy, size, streams)
+    intrinsic = _build(None, lambda: _intrinsic(config, env, policy, size, streams))
     return _build(
         None,
         lambda: Trainer(
@@ -164,8 +166,24 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
             evaluator=evaluator,
             stop_on_evaluation=config.stop_on == "evaluation",
             diagnostics=diagnostics,
+            intrinsic=intrinsic,
         ),
     )
+
+
+def _intrinsic(
+    config: DictConfig, env: Any, policy: Any, trials: int, streams: Mapping[str, int]
+) -> CountReward | None:
+    """Build the intrinsic reward; None if it is off."""
+    from trl_explore.training.intrinsic import CountReward
+
+    beta = check_number("intrinsic_reward", config.intrinsic_reward, 0)
+    if not beta:
+        return None
+    if env.action_spec.domain != "discrete":
+        raise ValueError(f"intrinsic_reward counts discrete actions, got {env.action_spec.domain}")
+    tabular = bool(getattr(policy, "tabular", False))
+    return CountReward(beta, trials, env.action_spec.space.n, one_hot=tabular, **streams)
 
 
 def _evaluator(
