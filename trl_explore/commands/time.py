@@ -39,7 +39,7 @@ def time_trial(job: RecordedJob, trial: int) -> tuple[float, int]:
     try:
         started = time.perf_counter()
         trials = trainer.run()
-        seconds = time.perf_counter() - started
+        seconds = time.perf_counter() - started - trainer.evaluating
     finally:
         trainer.close()
     frames = int(trials.frames[0])

@@ -43,9 +43,14 @@ class RecordedJob:
     trials: pd.DataFrame
 
     def trainer(self, trial: int) -> Trainer:
-        """The trainer of one trial alone, with that trial's own parameters."""
-        row = trial - self.config.first_trial
-        return build_trainer(self.config, slice(row, row + 1))
+        """The trainer of one trial alone, with that trial's own parameters.
+
+        Evaluation is off if the training does not depend on it.
+        """
+        config, row = self.config.copy(), trial - self.config.first_trial
+        if config.stop_on in ("training", "never"):
+            config.evaluate_every = 0
+        return build_trainer(config, slice(row, row + 1))
 
 
 def recompose_all(folders: Iterable[Path], config_dir: Path | None = None) -> list[RecordedJob]:
