@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
 
 from trl_explore.names import experiment
 from trl_explore.report.curves import Traces, read_traces
@@ -18,18 +16,13 @@ from trl_explore.report.sentences import (
     plane_sentences,
     verdicts,
 )
-from trl_explore.statistics.bootstrap import RESAMPLES, streams
 from trl_explore.statistics.comparisons import Comparison, compare_all, compare_pairs
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import SharedTrials, shared_trials
 from trl_explore.statistics.power import fewest_pairs
-from trl_explore.statistics.summary import Summary, summarise_all
+from trl_explore.statistics.summary import Summary, summarise
 from trl_explore.thesis import Checked, Study, check_claims, why
-
-SEED = 20170101
-"""Seed of all resampling, so that reports are reproducible."""
-FEWER_RESAMPLES, MANY_DRAWS = 1999, 3_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +39,6 @@ class GroupEvidence:
     incomparable: str
     sentences: tuple[str, ...]
     traces: Traces
-    resamples: int
 
     @property
     def strict_level(self) -> float:
@@ -85,23 +77,20 @@ class Evidence:
         return sum(len(e.group.timed(c)[1]) for e in self.groups for c in e.group.configurations)
 
 
-def gather(loaded: Loaded, *, resamples: int = RESAMPLES) -> Evidence:
-    """Compute everything; each part has its own random stream, derived from its name."""
+def gather(loaded: Loaded) -> Evidence:
+    """Compute everything."""
     groups = group_jobs(loaded.jobs)
-    labels = ["claims", "why", "why: uncorrected", "why: corrected", *(g.id for g in groups)]
-    rngs = streams(np.random.default_rng(SEED), labels)
     gaps = list(loaded.gaps)
-    parts = [_group_evidence(g, rngs[g.id], resamples, gaps) for g in groups]
+    parts = [_group_evidence(g, gaps) for g in groups]
     outcomes = [job.outcomes for job in loaded.jobs]
     timed = {f"{j.outcomes.experiment}/{j.outcomes.name}": j.timing for j in reversed(loaded.jobs)}
     study = Study(
         outcomes,
         seconds={key: t.seconds for key, t in timed.items() if t is not None},
         timed_trials={key: t.trial for key, t in timed.items() if t is not None},
-        resamples=resamples,
     )
-    checked = check_claims(study, rngs["claims"])
-    reexamined, causes = _why(study, rngs)
+    checked = check_claims(study)
+    reexamined, causes = _why(study)
     bias = because([c for c in causes if c.claim.id in why.BIAS])
     return Evidence(
         groups=parts,
@@ -115,39 +104,25 @@ def gather(loaded: Loaded, *, resamples: int = RESAMPLES) -> Evidence:
     )
 
 
-def _why(
-    study: Study, rngs: Mapping[str, np.random.Generator]
-) -> tuple[list[why.Reexamined], list[Checked]]:
+def _why(study: Study) -> tuple[list[why.Reexamined], list[Checked]]:
     if not any(experiment(o.experiment).why for o in study.outcomes):
         return [], []
-    twice = why.reexamine(study, rngs["why: uncorrected"], rngs["why: corrected"])
-    return twice, check_claims(study, rngs["why"], why.CLAIMS)
+    return why.reexamine(study), check_claims(study, why.CLAIMS)
 
 
-def _group_evidence(
-    group: Group, rng: np.random.Generator, resamples: int, gaps: list[Gap]
-) -> GroupEvidence:
-    configurations = group.configurations
-    n, trials = len(configurations), max(len(c) for c in configurations)
-    planned = _planned(group)
-    pairs = n * (n - 1) / 2 if planned is None else len(planned)
-    if pairs * trials * resamples > MANY_DRAWS:
-        resamples = min(resamples, FEWER_RESAMPLES)
-    rngs = streams(rng, ["summaries", "comparisons"])
+def _group_evidence(group: Group, gaps: list[Gap]) -> GroupEvidence:
+    configurations, planned = group.configurations, _planned(group)
     comparisons: list[Comparison] = []
-    incomparable = "" if n > 1 else "there is only one configuration"
+    incomparable = "" if len(configurations) > 1 else "there is only one configuration"
     try:
-        if planned is None:
-            comparisons = compare_all(configurations, rngs["comparisons"], resamples=resamples)
-        else:
-            comparisons = compare_pairs(planned, rngs["comparisons"], resamples=resamples)
+        comparisons = compare_all(configurations) if planned is None else compare_pairs(planned)
     except ValueError as error:
         incomparable = str(error)
     traces = Traces() if group.plane is not None else read_traces(group)
     gaps.extend(traces.gaps)
     return GroupEvidence(
         group=group,
-        summaries=summarise_all(configurations, rngs["summaries"], resamples=resamples),
+        summaries=[summarise(c) for c in configurations],
         comparisons=comparisons,
         incomparable=incomparable,
         sentences=(
@@ -155,7 +130,6 @@ def _group_evidence(
             *(_cut_short(group) or _too_few(comparisons)),
         ),
         traces=traces,
-        resamples=resamples,
     )
 
 

@@ -11,7 +11,9 @@ import numpy as np
 from trl_explore.report.evidence import Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
 from trl_explore.report.tables import Column, Record, Table
-from trl_explore.statistics.power import trials_for_difference
+from trl_explore.statistics.power import trials_text, trials_to_settle
+
+UNKNOWN = (-math.inf, math.inf)
 
 
 def summary_table(evidence: GroupEvidence) -> Table:
@@ -31,7 +33,7 @@ def summary_table(evidence: GroupEvidence) -> Table:
         Column("configuration", "configuration", lambda r: r["configuration"]),
         Column("pass_rate", "passed", _passed, True),
         Column("median", "median iterations", _interval("median", _count, "not reached"), True),
-        Column("restricted_mean", "mean iterations", _restricted, True),
+        Column("restricted_mean", "mean iterations", _interval("restricted_mean", _count), True),
         Column(
             "expected_running_time",
             "iterations per success",
@@ -50,12 +52,12 @@ def summary_table(evidence: GroupEvidence) -> Table:
 
 def comparison_table(evidence: GroupEvidence) -> Table:
     """One row per pair, with the number of trials that would detect the difference."""
-    labels, level = evidence.group.labels, evidence.strict_level
+    labels = evidence.group.labels
     short = {label: evidence.group.short(name) for name, label in labels.items()}
     by = f" {evidence.group.parameter}" if evidence.group.parameter else ""
     records = []
     for c in evidence.comparisons:
-        needed = trials_for_difference(c.sd, c.difference.value, level=level)
+        needed = trials_to_settle(c.difference, 0.0, min(c.n_a, c.n_b))
         record = {"experiment": evidence.group.experiment} | c.row()
         named = {"a": labels[c.a], "b": labels[c.b], "winner": labels.get(c.winner or "")}
         records.append(record | named | {"trials_needed": needed})
@@ -66,7 +68,7 @@ def comparison_table(evidence: GroupEvidence) -> Table:
         Column("difference", "first − second, iterations", _interval("difference", _count), True),
         Column("p_holm", "p (Holm)", lambda r: _p(r["p_holm"]), True),
         Column("p_logrank", "p (log-rank)", lambda r: _p(r["p_logrank"]), True),
-        Column("faster", "first is faster in", _interval("faster", _percent), True),
+        Column("better", "first is faster in", _interval("better", _percent), True),
         Column("correlation", "correlation of pairs", lambda r: _plain(r["correlation"], 2), True),
         Column("variance_ratio", "variance kept by pairing",
                lambda r: _plain(r["variance_ratio"], 2), True),
@@ -146,8 +148,10 @@ def _interval(key: str, text: Any, infinite: str = "∞") -> Any:
         main = infinite if value == math.inf else text(value)
         if value is None or math.isnan(value):
             return "–"
-        if math.isnan(low) or math.isnan(high) or low == math.inf:
+        if math.isnan(low) or math.isnan(high) or low == math.inf or (low, high) == UNKNOWN:
             return main
+        if low == -math.inf:
+            return f"{main}\n{text(high)} or less"
         if high == math.inf:
             return f"{main}\n{text(low)} or more"
         return f"{main}\n{text(low)} to {text(high)}"
@@ -161,12 +165,6 @@ def _passed(r: Record) -> str:
     return f"{r['converged']} of {r['n']}{diverged}\n{low:.0f} to {high:.0f} %"
 
 
-def _restricted(r: Record) -> str:
-    error = r["restricted_mean_se"]
-    tail = "" if error is None or math.isnan(error) else f"\n± {error:,.0f}"
-    return f"{r['restricted_mean']:,.0f}{tail}"
-
-
 def _seconds(r: Record) -> str:
     return f"{r['seconds_mean']:.3g}\n{r['timed']} timed" if r["timed"] else "–"
 
@@ -178,7 +176,7 @@ def _undecided(r: Record) -> str:
 
 
 def _needed(r: Record) -> str:
-    return "–" if r["trials_needed"] is None else f"{r['trials_needed']:,}"
+    return trials_text(r["trials_needed"], "–")
 
 
 def _count(x: float) -> str:
