@@ -497,11 +497,11 @@ def test_time_claims_say_for_which_cost_of_an_iteration_they_hold(make):
 
     found = finding(Study([argmax(9000)]), "time.argmax_long_when_it_passes")
     assert found.verdict == "open"
-    assert "0 to 3 frames: holds; 10 to 3,000 frames: does not hold" in found.evidence
+    assert "0 to 1 frames: holds; 10 to 1,000 frames: does not hold" in found.evidence
     # Equal at 12.5 frames, beyond the 1 to 10 of the thesis's program.
     found = finding(Study([argmax(14000)]), "time.argmax_long_when_it_passes")
     assert found.verdict == "holds"
-    assert "0 to 10 frames: holds; 30 to 3,000 frames: does not hold" in found.evidence
+    assert "0 to 10 frames: holds; 30 to 1,000 frames: does not hold" in found.evidence
 
 
 def test_seconds_stand_beside_the_model_of_time(builder):

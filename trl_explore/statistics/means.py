@@ -100,52 +100,77 @@ def mean_interval(sample: Sample, *, level: float = LEVEL) -> Estimate:
     value = float(sample.values.mean())
     if len(sample) < 2:
         return Estimate(value, nan, nan, level)
-    d = distances(sample.simplified(), 1.0 - level)
+    d = distances(sample.simplified())(1.0 - level)
     low, high = value - hypot(d.spread, d.down), value + hypot(d.spread, d.up)
     if sample.cap is not None:
         high = min(high, sample.cap)
     return Estimate(value, low, high, level)
 
 
-def distances(sample: Sample, alpha: float) -> Distances:
-    """Distances from the mean to the ends of its interval at level 1 - ``alpha``."""
-    x, ordinary, n = sample.values, sample.values[sample.ordinary], len(sample)
+@dataclass(frozen=True)
+class Group:
+    """The trials of one kind: how many, mean and standard deviation (n - 1) of their values."""
+
+    n: int
+    mean: float
+    sd: float
+
+    @classmethod
+    def of(cls, x: NDArray[np.float64]) -> Group:
+        """The group of values [n]; NaN for what is unknown."""
+        sd = float(x.std(ddof=1)) if len(x) > 1 else nan
+        return cls(len(x), float(x.mean()) if len(x) else nan, sd)
+
+    def half(self, alpha: float) -> float:
+        """Half-width of Student's interval of the mean; NaN for a single value."""
+        if self.n < 2:
+            return nan
+        return float(-special.stdtrit(self.n - 1, alpha / 2.0)) * self.sd / sqrt(self.n)
+
+
+def distances(sample: Sample) -> Callable[[float], Distances]:
+    """α -> the distances from the mean to the ends of its interval at level 1 - α."""
+    x, n, ordinary = sample.values, len(sample), Group.of(sample.values[sample.ordinary])
     if not sample.kinds:
-        return Distances(_half(x, alpha))
-    if len(ordinary) < 2 and sample.cap is not None:
+        return lambda alpha: Distances(ordinary.half(alpha))
+    cap, value, m = sample.cap, float(x.mean()), ordinary.mean
+    if ordinary.n < 2 and cap is not None:
         # The mean of passing trials is anything from 0 to the cap.
-        value, least = float(x.mean()), wilson(n - len(ordinary), n, _z(alpha))[0] * sample.cap
-        return Distances(0.0, value - least, sample.cap - value)
-    m = float(ordinary.mean())
-    ends = [_ends(x[kind.members], kind, n, m, alpha) for kind in sample.kinds]
-    down, up = sum(d * d for d, _ in ends), sum(u * u for _, u in ends)
-    for (i, first), (j, second) in combinations(enumerate(sample.kinds), 2):
-        # A trial of one kind is not of the other: corr(q_i, q_j) = -√(odds_i odds_j). If one kind
-        # lowers θ and the other raises it, their terms are therefore positively correlated.
-        q, p = float(first.members.mean()), float(second.members.mean())
-        if q and p and (x[first.members].mean() - m) * (x[second.members].mean() - m) < 0:
-            r = sqrt(q * p / ((1.0 - q) * (1.0 - p)))
-            down, up = down + 2 * r * ends[i][0] * ends[j][0], up + 2 * r * ends[i][1] * ends[j][1]
-    return Distances(len(ordinary) / n * _half(ordinary, alpha), sqrt(down), sqrt(up))
+        def bounded(alpha: float) -> Distances:
+            least = wilson(n - ordinary.n, n, _z(alpha))[0] * cap
+            return Distances(0.0, value - least, cap - value)
+
+        return bounded
+    kinds = [(kind, Group.of(x[kind.members])) for kind in sample.kinds]
+
+    def combined(alpha: float) -> Distances:
+        ends = [_ends(kind, group, n, m, alpha) for kind, group in kinds]
+        down, up = sum(d * d for d, _ in ends), sum(u * u for _, u in ends)
+        for (i, (_, first)), (j, (_, second)) in combinations(enumerate(kinds), 2):
+            # A trial of one kind is not of the other: corr(q_i, q_j) = -√(odds_i odds_j). If one
+            # kind lowers θ and the other raises it, their terms are positively correlated.
+            if (first.mean - m) * (second.mean - m) < 0:
+                r = sqrt(first.n * second.n / ((n - first.n) * (n - second.n)))
+                down += 2 * r * ends[i][0] * ends[j][0]
+                up += 2 * r * ends[i][1] * ends[j][1]
+        return Distances(ordinary.n / n * ordinary.half(alpha), sqrt(down), sqrt(up))
+
+    return combined
 
 
-def _ends(
-    values: NDArray[np.float64], kind: Kind, n: int, m: float, alpha: float
-) -> tuple[float, float]:
+def _ends(kind: Kind, group: Group, n: int, m: float, alpha: float) -> tuple[float, float]:
     """How far q (f - m) can fall and rise, for the rate q and the mean f of a rare kind."""
-    k = len(values)
-    q, (q_low, q_high) = k / n, wilson(k, n, _z(alpha))
+    q, (q_low, q_high) = group.n / n, wilson(group.n, n, _z(alpha))
     known = kind.least == kind.most
-    if k < 2 and not known:
-        value = q * (float(values.mean()) - m) if k else 0.0
+    if group.n < 2 and not known:
+        value = q * (group.mean - m) if group.n else 0.0
         ends = [
             rate * (f - m) if rate > 0 else 0.0
             for rate in (q_low, q_high)
             for f in (kind.least, kind.most)
         ]
         return value - min(value, *ends), max(value, *ends) - value
-    f = kind.most if known else float(values.mean())
-    half = 0.0 if known else _half(values, alpha)
+    f, half = (kind.most, 0.0) if known else (group.mean, group.half(alpha))
     f_down, f_up = min(half, max(f - kind.least, 0.0)), min(half, max(kind.most - f, 0.0))
     fewer, more = (q - q_low) * (f - m), (q_high - q) * (f - m)
     return (
@@ -182,7 +207,7 @@ def time_per_success(times: Sample, *, level: float = LEVEL) -> Estimate:
     value = m + f * odds
     if n == 1:
         return Estimate(value, nan, nan, level)
-    half = _half(passed, 1.0 - level) if len(passed) > 1 else max(m, f - m)
+    half = Group.of(passed).half(1.0 - level) if len(passed) > 1 else max(m, f - m)
     low, high = hypot(half, f * (odds - least)), hypot(half, f * (most - odds))
     return Estimate(value, max(value - low, 0.0), value + high, level)
 
@@ -207,13 +232,14 @@ def mean_difference(a: Sample, b: Sample, *, level: float = LEVEL) -> MeanDiffer
     if n < 2:
         nothing = Estimate(value, nan, nan, level)
         return MeanDifference(nothing, 1.0, n, paired, nan, nan, nan, lambda level: nothing)
+    first, second = distances(a), distances(b)
     r, phi = (_correlation(a, b), _phi(a, b)) if paired else (0.0, 0.0)
     least_p = 2.0 ** (1 - n) if paired else _fewest_relabelled(len(x), len(y))
 
     def bounds(alpha: float) -> tuple[float, float]:
         if alpha < least_p:
             return -inf, inf
-        p, q = distances(a, alpha), distances(b, alpha)
+        p, q = first(alpha), second(alpha)
         spread = _combined(p.spread, q.spread, r)
         down, up = _combined(p.down, q.up, phi), _combined(p.up, q.down, phi)
         return value - sqrt(spread + down), value + sqrt(spread + up)
@@ -253,14 +279,6 @@ def _p_value(value: float, bounds: Callable[[float], tuple[float, float]], least
 def _combined(x: float, y: float, r: float) -> float:
     """x² + y² - 2 r x y, at least 0; infinite if either is."""
     return inf if isinf(x) or isinf(y) else max(x * x + y * y - 2.0 * r * x * y, 0.0)
-
-
-def _half(values: NDArray[np.float64], alpha: float) -> float:
-    """Half-width of Student's interval of a mean; NaN for a single value."""
-    n = len(values)
-    if n < 2:
-        return nan
-    return float(-special.stdtrit(n - 1, alpha / 2.0) * values.std(ddof=1) / sqrt(n))
 
 
 def _z(alpha: float) -> float:

@@ -38,9 +38,9 @@ from trl_explore.thesis.study import NotMeasuredError, Study, Unit
 
 RARELY, CONSISTENTLY, ALMOST_ALWAYS, MOSTLY = 0.01, 0.90, 0.80, 0.50
 """The margins of the words."""
-THESIS_COSTS = (1.0, 3.0, 10.0)
+THESIS_COSTS = (1.0, 10.0)
 """What an iteration costs in the thesis's program, beside its frames, in frames."""
-COSTS = (0.0, *THESIS_COSTS, 30.0, 100.0, 300.0, 1000.0, 3000.0)
+COSTS = (0.0, *THESIS_COSTS, 30.0, 100.0, 1000.0)
 
 Verdict = Literal["holds", "does not hold", "open", "not measured"]
 HOLDS: Verdict = "holds"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -109,13 +110,19 @@ class Study:
 
         """
         name = self.places.get(name, name)
-        try:
-            jobs = deduplicate([o for o in self.outcomes if o.experiment == name])
-        except ValueError as error:
-            raise NotMeasuredError(str(error)) from error
-        if not jobs:
+        if name not in self._found:
+            try:
+                jobs = deduplicate([o for o in self.outcomes if o.experiment == name])
+            except ValueError as error:
+                raise NotMeasuredError(str(error)) from error
+            self._found[name] = jobs
+        if not self._found[name]:
             raise NotMeasuredError(f"the experiment {name} was not run")
-        return jobs
+        return self._found[name]
+
+    @cached_property
+    def _found(self) -> dict[str, list[Outcomes]]:
+        return {}
 
     def strategy(self, name: str, experiment: str = "thesis") -> Outcomes:
         """One strategy of an experiment with the thesis's parameters; seeds are pooled.
