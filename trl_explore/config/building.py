@@ -139,9 +139,11 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     baseline.bind(env)
     optimizer = _instantiate(config, "optimizer")(_parameters(policy, baseline))
     actor = actor_of(policy)
+    correction = _instantiate(config, "correction")()
+    _build("correction", lambda: correction.take(rows, config.trials))
     loss = _instantiate(config, "loss")(
         actor,
-        correction=_instantiate(config, "correction")(),
+        correction=correction,
         baseline=baseline,
         strategy=strategy,
         trials=size,

@@ -19,6 +19,7 @@ from trl_explore.config.files import (
     load,
     same,
     schedules_of,
+    strategies_of,
 )
 
 
@@ -29,7 +30,7 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
         ConfigError: if a key is unknown or missing; the message names it and the known keys.
     """
     for name in schedules_of(choices):
-        if not re.fullmatch(r"strategy\.\w+", name):
+        if not re.fullmatch(r"(correction\.)?strategy\.\w+", name):
             raise ConfigError(
                 "a schedule must name a parameter of the strategy, "
                 f"+schedule@strategy.NAME=…, got {name!r}"
@@ -45,17 +46,20 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
         if not isinstance(config[name], bool):
             raise ConfigError(f"{name} must be true or false, got {config[name]!r}")
     for group in GROUPS:
-        _check_group(config, group, choices.get(group))
+        _check_group(config, group, choices)
     for name, expected in defaults.strategy.items():
         _check_schedule(config, str(name), expected, choices)
 
 
-def _check_group(config: DictConfig, group: str, option: str | None) -> None:
+def _check_group(config: DictConfig, group: str, choices: Mapping[str, str | None]) -> None:
     if not isinstance(config[group], DictConfig):
         raise ConfigError(f"{group} must name a file of conf/{group}/, got {config[group]}")
-    allowed = {str(key) for key in load(f"{group}/{option}")}
+    option = choices.get(group)
+    allowed = {str(key) for key in load(f"{group}/{option}")} - {"defaults"}
     if not allowed:
         return  # the user's own file; the constructor checks its keys
+    parts = strategies_of(choices)
+    allowed |= {key.removeprefix(f"{group}.") for key in parts if key.startswith(f"{group}.")}
     given = {str(key) for key in config[group]}
     for name in sorted(given - allowed):
         shown = sorted(key for key in allowed if not key.startswith("_"))

@@ -23,6 +23,9 @@ INERT = (
     "checkpoint_seconds",
 )  # fmt: skip
 """Keys that do not change results; they are not part of a job's name or identity."""
+STRATEGY = "strategy@"
+"""Prefix of a choice that gives a part a strategy from ``conf/strategy``, as in
+``correction=as_if strategy@correction.strategy=argmax``."""
 
 
 class ConfigError(ValueError):
@@ -39,7 +42,10 @@ def _defaults(items: tuple[tuple[str, str | None], ...]) -> DictConfig:
     choices = dict(items)
     defaults = load("train").copy()
     for group in GROUPS:
-        defaults[group] = load(f"{group}/{choices.get(group)}")
+        defaults[group] = load(f"{group}/{choices.get(group)}").copy()
+        defaults[group].pop("defaults", None)
+    for key, option in strategies_of(choices).items():
+        OmegaConf.update(defaults, key, load(f"strategy/{option}"), merge=False)
     defaults = OmegaConf.merge(defaults, load(f"experiment/{choices.get('experiment')}"))
     assert isinstance(defaults, DictConfig)
     for key in ("defaults", "hydra"):
@@ -61,10 +67,19 @@ def load(name: str) -> DictConfig:
 
 def schedules_of(choices: Mapping[str, str | None]) -> dict[str, str]:
     """The parameters that have a schedule, each with its file in ``conf/schedule``."""
+    return _files_of(choices, SCHEDULE)
+
+
+def strategies_of(choices: Mapping[str, str | None]) -> dict[str, str]:
+    """The parts that have a strategy of their own, each with its file in ``conf/strategy``."""
+    return _files_of(choices, STRATEGY)
+
+
+def _files_of(choices: Mapping[str, str | None], prefix: str) -> dict[str, str]:
     return {
-        key.removeprefix(SCHEDULE): str(option)
+        key.removeprefix(prefix): str(option)
         for key, option in sorted(choices.items())
-        if key.startswith(SCHEDULE)
+        if key.startswith(prefix)
     }
 
 

@@ -19,6 +19,7 @@ from trl_explore.config.files import (
     load,
     same,
     schedules_of,
+    strategies_of,
 )
 
 ABSENT = object()
@@ -59,13 +60,12 @@ def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
         for group in GROUPS
         if group != "strategy" and choices.get(group) != _default_choices()[group]
     ]
-    parts += [
-        f"{key.removeprefix('strategy.')}={option}" for key, option in schedules_of(choices).items()
-    ]
+    chosen = {**strategies_of(choices), **schedules_of(choices)}
+    parts += [f"{key.removeprefix('strategy.')}={option}" for key, option in chosen.items()]
     leaves = _leaves(defaults, config)
     for key in sorted(leaves, key=lambda key: (not key.startswith("strategy."), key)):
         value, default = OmegaConf.select(config, key), leaves[key]
-        shown_always = key.startswith("strategy.") and "._" not in key
+        shown_always = key.startswith(("strategy.", "correction.strategy.")) and "._" not in key
         usual = default is not ABSENT and same(value, default)
         if key in INERT or (usual and not shown_always):
             continue

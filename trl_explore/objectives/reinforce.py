@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -28,7 +29,6 @@ from trl_explore.policies import LinearPolicy
 from trl_explore.policies.actor import (
     GaussianActor,
     frame_distribution,
-    frame_log_prob,
     has_linear_softmax,
     is_softmax,
     score_sum,
@@ -164,8 +164,10 @@ class ReinforceLoss(LossModule):
         self.entropy_coeff = check_number("entropy_coeff", entropy_coeff, 0)
         actor_network = self.correction.actor(cast(ProbabilisticActor, actor_network), strategy)
         known = isinstance(actor_network, GaussianActor) or is_softmax(actor_network)
-        # A bound method, so that the strategy does not become a part of the loss's state.
-        self._on_policy = strategy.on_policy if strategy is not None and known else _never
+        # A function, so that the strategy does not become a part of the loss's state.
+        self._on_policy = _never
+        if strategy is not None and known:
+            self._on_policy = partial(self.correction.on_policy, strategy)
         self.trials = None if trials is None else check_integer("trials", trials, 1)
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}")
@@ -314,8 +316,9 @@ class ReinforceLoss(LossModule):
         log_ratio = None
         if self.correction.needs_log_prob:
             behaviour = entry(episodes.tensordict, self.tensor_keys.sample_log_prob)
-            target = frame_log_prob(self.actor_network, episodes.tensordict, action)
-            log_ratio = log_ratio_of(target, behaviour.reshape(-1))
+            actor, correction = self.actor_network, self.correction
+            numerator = correction.log_numerator(actor, episodes.tensordict, action)
+            log_ratio = log_ratio_of(numerator, behaviour.reshape(-1))
             on_policy = torch.as_tensor(self._on_policy(), device=log_ratio.device)
             per_frame = on_policy[episodes.trial] if on_policy.ndim else on_policy
             log_ratio = log_ratio.masked_fill(per_frame, 0.0)  # 1 exactly, not up to rounding
