@@ -119,6 +119,7 @@ class ExperimentName:
 
 EXPERIMENTS: Mapping[str, ExperimentName] = {
     "thesis": ExperimentName("The five strategies"),
+    "long_runs": ExperimentName("The five strategies, up to 5,000 iterations"),
     "corrections": ExperimentName("Strategies and corrections", why=True),
     "corrections_temperature": ExperimentName("Temperatures and corrections", why=True),
     "debug": ExperimentName("A test run"),

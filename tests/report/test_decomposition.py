@@ -147,7 +147,7 @@ def test_the_report_shows_both_measures_and_their_parts(tmp_path):
     from tests.report.conftest import write_crossing
 
     sweep = write_crossing(tmp_path / "corrections")
-    text = build_report([sweep], tmp_path / "out", resamples=199)[0].read_text(encoding="utf-8")
+    text = build_report([sweep], tmp_path / "out")[0].read_text(encoding="utf-8")
     section = text[text.index('<section id="why-section">') :]
     section = section[: section.index("</section>")]
     assert section.index('id="figure-why-acting-1"') < section.index('id="why-parts"')
