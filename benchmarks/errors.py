@@ -137,7 +137,7 @@ def read_population(folder: Path) -> list[Outcomes]:
 
 def main() -> None:
     """Write the tables into the page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--repetitions", type=int, default=400)
     parser.add_argument("--only", nargs="*", default=["coverage", "differences", "level", "claims"])
