@@ -311,7 +311,7 @@ def test_every_schedule_serves_a_parameter(schedule):
         "strategy=epsilon_greedy", f"+schedule@strategy.epsilon={schedule}", "trials=2"
     )
     check_keys(config, choices)
-    epsilon = build_trainer(config).collector.strategy.epsilon
+    epsilon = build_trainer(config).collector.strategy.schedules["epsilon"]
     assert type(epsilon).__name__.lower() == schedule
     assert epsilon(0) == 1.0
     assert job_name(config, choices).startswith(f"epsilon_greedy,epsilon={schedule},epsilon.")

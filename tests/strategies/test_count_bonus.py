@@ -58,7 +58,7 @@ def test_the_hash_is_the_sign_of_a_gaussian_projection_of_the_trials_own():
     data = visits(action=torch.zeros(3, dtype=torch.int64))
     strategy.preferences(data, data["logits"])
     strategy.step(data)
-    counts = strategy.get_extra_state()["counts"]
+    counts = strategy.state_dict()["_counts"]
     for k, x in ((0, [1, 2, 3]), (1, [1, 2, 3]), (1, [-3, 1, 0.5])):
         drawn = generator(4, Stream.STRATEGY, 7 + k)
         matrix = drawn.standard_normal((5, 3), np.float32)

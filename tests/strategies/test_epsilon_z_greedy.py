@@ -15,12 +15,13 @@ POLICY = TensorDictModuleBase()  # for those that do not look at it
 def z_frames(noise, **entries):
     """One state of two lanes, in which action 2 of three is greedy."""
     logits = torch.tensor([[0.0, 1.0, 5.0]] * 2)
+    entries = {"is_init": torch.zeros(2, 1, dtype=torch.bool)} | entries
     return TensorDict({"logits": logits, "noise": torch.tensor(noise), **entries}, [2])
 
 
 def test_a_random_action_is_repeated_for_its_duration():
     # With μ = 2 and N = 3 the weights are 1, 1/4, 1/9: P(n <= 1) = 36/49, P(n <= 2) = 45/49.
-    strategy = EpsilonZGreedy(0.5, max_duration=3)
+    strategy = EpsilonZGreedy(0.5, max_duration=3, noise_key="noise")
     never, once = [0.6, 0.0, 0.0], [0.4, 0.5, 0.7]
     twice, thrice = [0.4, 0.5, 0.9], [0.4, 0.0, 0.99]
     steps = [[once, thrice], [never, never], [twice, never], [once, never], [never, never]]
@@ -32,8 +33,8 @@ def test_durations_are_those_of_the_zeta_distribution():
     n = 100_000
     strategy = EpsilonZGreedy(1.0, mu=2.5)
     logits = torch.zeros(n, 4)
-    strategy(TensorDict({"logits": logits}, [n]))
-    durations = strategy.get_extra_state()["remaining"].numpy() + 1
+    strategy(TensorDict({"logits": logits, "step_count": torch.zeros(n, 1)}, [n]))
+    durations = strategy._remaining.numpy() + 1
     counts = np.bincount(np.minimum(durations, 12), minlength=13)[1:]
     zeta = stats.zipf(2.5)
     expected = n * np.append(zeta.pmf(np.arange(1, 12)), zeta.sf(11))
@@ -43,7 +44,7 @@ def test_durations_are_those_of_the_zeta_distribution():
 def test_no_repetition_outlives_its_episode():
     long, never = [[0.0, 0.0, 0.999]] * 2, [[0.9, 0.0, 0.0]] * 2
     for start in ("begin", "is_init", "step_count"):
-        strategy = EpsilonZGreedy(0.5)
+        strategy = EpsilonZGreedy(0.5, noise_key="noise")
         strategy.bind(POLICY, 2)
         assert strategy(z_frames(long))["action"].tolist() == [0, 0]
         entries = {}
@@ -57,7 +58,7 @@ def test_no_repetition_outlives_its_episode():
 
 
 def test_a_repetition_ends_where_its_action_is_forbidden():
-    strategy = EpsilonZGreedy(0.5)
+    strategy = EpsilonZGreedy(0.5, noise_key="noise")
     strategy(z_frames([[0.0, 0.0, 0.999]] * 2))
     mask = torch.tensor([[False, True, True], [True, True, False]])
     never = [[0.9, 0.0, 0.0]] * 2
@@ -66,7 +67,7 @@ def test_a_repetition_ends_where_its_action_is_forbidden():
 
 
 def test_exploitation_draws_no_durations():
-    strategy = EpsilonZGreedy(0.0)
+    strategy = EpsilonZGreedy(0.0, noise_key="noise")
     for _ in range(3):
         assert strategy(z_frames([[0.0, 0.0, 0.999]] * 2))["action"].tolist() == [2, 2]
 

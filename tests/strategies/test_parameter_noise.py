@@ -1,5 +1,8 @@
 """Perturbed policies."""
 
+import copy
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
@@ -85,13 +88,26 @@ def test_without_a_threshold_sigma_is_its_schedule():
         episodes.strategy.step(data)
 
 
-def test_any_parameters_of_a_single_policy_are_perturbed():
+def lanes(first, observation=None):
+    """Two lanes of a TorchRL environment."""
+    observation = torch.ones(2, 3) if observation is None else observation
+    marks = torch.tensor(first).unsqueeze(-1)
+    return TensorDict({"observation": observation, "is_init": marks}, [2])
+
+
+def single(**options):
+    """Noise on a policy that knows nothing of trials."""
     network = torch.nn.Sequential(torch.nn.Linear(3, 5), torch.nn.Tanh(), torch.nn.Linear(5, 2))
     policy = TensorDictModule(network, ["observation"], ["logits"])
+    strategy = ParameterNoise(**options)
+    strategy.bind(policy, 1)
+    return strategy, policy
+
+
+def test_any_parameters_of_a_single_policy_are_perturbed():
+    strategy, policy = single(sigma=0.5)
     before = [p.clone() for p in policy.parameters()]
-    strategy = ParameterNoise(sigma=0.5)
-    strategy.bind(policy, 1, seed=2)
-    data = policy(TensorDict({"observation": torch.ones(6, 3)}, [6]))
+    data = policy(lanes([True, True]))
     changed = strategy.preferences(data, data["logits"])
     assert not torch.isclose(changed, data["logits"]).any()
     assert all(torch.equal(a, b) for a, b in zip(before, policy.parameters(), strict=True))
@@ -99,22 +115,38 @@ def test_any_parameters_of_a_single_policy_are_perturbed():
         strategy.bind(policy, 2)
 
 
-def test_first_frames_that_are_marked_begin_an_episode():
-    policy = TensorDictModule(torch.nn.Linear(3, 2, bias=False), ["observation"], ["logits"])
-    strategy = ParameterNoise(sigma=1.0)
-    strategy.bind(policy, 1, seed=2)
+def test_every_lane_has_a_perturbation_of_its_own_for_each_episode():
+    strategy, _ = single(sigma=0.5)
+    starts = [[True, True], [False, False], [True, False], [False, True], [False, False]]
+    seen = [strategy.preferences(lanes(first), torch.zeros(2, 2)) for first in starts]
+    same = [[torch.equal(a[k], b[k]) for k in range(2)] for a, b in pairwise(seen)]
+    assert same == [[True, True], [False, True], [True, False], [True, True]]
+    assert not torch.isclose(seen[0][0], seen[0][1]).any()
 
-    def preferences(first):
-        data = TensorDict({"observation": torch.ones(3), "is_init": torch.tensor([first])})
-        return strategy.preferences(data, torch.zeros(2))
 
-    one, same, other = preferences(True), preferences(False), preferences(True)
-    assert torch.equal(one, same)
-    assert not torch.equal(one, other)
-    for episode, seen in enumerate((one, other)):
-        xi = generator(2, Stream.STRATEGY, 0, episode).standard_normal(6).reshape(2, 3)
-        expected = policy.module.weight.detach().sum(1) + torch.from_numpy(xi).float().sum(1)
-        torch.testing.assert_close(seen, expected)
+def test_the_perturbation_of_a_lane_by_hand():
+    strategy, policy = single(sigma=0.5)
+    observation = torch.randn(2, 3)
+    found = strategy.preferences(lanes([True, True], observation), torch.zeros(2, 2))
+    for k in range(2):
+        moved, start = copy.deepcopy(policy), 0
+        for parameter in moved.parameters():
+            n = parameter.numel()
+            shift = 0.5 * strategy._xi[k, start : start + n].reshape(parameter.shape)
+            parameter.data += shift
+            start += n
+        torch.testing.assert_close(found[k], moved.module(observation[k]))
+
+
+def test_sigma_adapts_to_the_distance_of_the_frames_seen():
+    for sigma, grows in ((1e-4, True), (20.0, False)):
+        strategy, policy = single(sigma=sigma, threshold=0.05, factor=1.25)
+        for _ in range(3):
+            strategy(policy(lanes([True, True])))
+        strategy.step(6)
+        assert strategy.scale.tolist() == [1.25 if grows else 1 / 1.25]
+        strategy.step(0)  # nothing seen since
+        assert strategy.scale.tolist() == [1.25 if grows else 1 / 1.25]
 
 
 def test_noise_on_a_policy_that_is_not_known_is_an_error():

@@ -69,11 +69,11 @@ def test_a_checkpoint_goes_on_as_if_nothing_had_happened(kind):
 
 @pytest.mark.parametrize("kind", STATEFUL)
 def test_states_are_plain(kind):
-    """Numbers, texts and tensors only: a checkpoint is read without pickle."""
+    """Tensors only: a checkpoint is read without pickle, and by safetensors."""
     episodes = collector(TorchRLCollector, kind())
     episodes.strategy.step(episodes.collect().frames)
-    for value in episodes.strategy.get_extra_state().values():
-        assert isinstance(value, int | float | str | torch.Tensor)
+    for value in episodes.strategy.state_dict().values():
+        assert isinstance(value, torch.Tensor)
 
 
 @pytest.mark.parametrize("kind", STATEFUL)

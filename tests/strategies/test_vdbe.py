@@ -30,7 +30,7 @@ def test_epsilon_follows_the_relative_change_of_the_mean_score():
     f = (1 - math.exp(-2)) / (1 + math.exp(-2))
     np.testing.assert_allclose(strategy.epsilon, [0.5 + f / 2, 0.5 + f / 2, 1.0], rtol=1e-12)
     np.testing.assert_array_equal(strategy.value, [10, -4, 0])
-    before = strategy.epsilon.copy()
+    before = strategy.epsilon.clone()
     strategy.step(scores((0, 10.0), (1, -20.0), (2, 0.0)))
     # V stays 10: Δ = 0. V goes from -4 to -12: Δ = 2/3, Δ/σ = 4/3. No score yet: Δ = 0.
     g = (1 - math.exp(-4 / 3)) / (1 + math.exp(-4 / 3))
@@ -49,7 +49,7 @@ def test_several_episodes_of_an_iteration_count_with_their_mean():
 def test_vdbe_is_epsilon_greedy_with_its_epsilon():
     strategy = VDBE(initial=0.5, delta=0.0)
     strategy.bind(POLICY, 2)
-    strategy.epsilon[:] = [0.2, 1.0]
+    strategy.epsilon.copy_(torch.tensor([0.2, 1.0]))
     probs = strategy.probs(torch.tensor([[0.0, 4.0, -1.0, 4.0]] * 2), torch.tensor([0, 1]))
     expected = torch.tensor([[0.05, 0.45, 0.05, 0.45], [0.25] * 4])
     torch.testing.assert_close(probs, expected)
@@ -58,7 +58,7 @@ def test_vdbe_is_epsilon_greedy_with_its_epsilon():
 def test_epsilon_stays_without_data_and_data_need_the_score():
     strategy = VDBE(initial=0.7)
     strategy.step()
-    assert strategy.epsilon == [0.7]
+    assert strategy.epsilon.tolist() == [0.7]
     data = scores((0, 1.0))
     del data["next", "episode_reward"]
     with pytest.raises(KeyError, match="episode_reward"):

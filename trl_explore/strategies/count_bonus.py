@@ -7,15 +7,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from torchrl.data import OneHot
 
 from trl_explore.checks import check_integer
-from trl_explore.numerics.layers import lane_linear
+from trl_explore.numerics.layers import lane_linear, plain_lane_linear
 from trl_explore.numerics.streams import Stream, generator
-from trl_explore.strategies.mixture import Mixture, MixtureStrategy, rows
-from trl_explore.strategies.schedules import Schedule, as_schedule
+from trl_explore.strategies.mixture import Mixture, MixtureStrategy
+from trl_explore.strategies.schedules import Schedule
+from trl_explore.strategies.strategy import padding_mask, read, rows
 
 
 class CountBonus(MixtureStrategy):
@@ -31,12 +33,15 @@ class CountBonus(MixtureStrategy):
     direction. Each trial has its own A and N. N counts the trial's frames in ``step(data)``, so μ
     is fixed within an iteration and its probabilities are exact.
 
-    Also reads "observation" [*batch, n_features], from the frames and from the data.
+    Also reads "observation" [*batch, n_features], from the frames and from the data. Padding of
+    TorchRL's ``split_trajs`` is not counted. Where a trainer's counts are sent to workers, give the
+    action spec, so that N has its size from the start.
 
     Args:
         beta: β >= 0, a number, one number per trial, or a schedule of the iteration.
         temperature: T >= 0, in the same forms as ``beta``; 0 gives the argmax of the sum.
         bits: length of the hash, 1 to 20; there are 2^bits cells of n_actions counts per trial.
+        observation_key: the entry with the observation.
         options: the arguments of ``Strategy``.
 
     Raises:
@@ -53,82 +58,115 @@ class CountBonus(MixtureStrategy):
         tensor([[2., 1.]])
     """
 
+    _counts: Tensor
+    """N of each trial [trials, cells, n_actions]."""
+    beta: Tensor
+    temperature: Tensor
+
     def __init__(
         self,
         beta: float | Sequence[float] | Schedule = 1.0,
         temperature: float | Sequence[float] | Schedule = 1.0,
         bits: int = 12,
+        observation_key: NestedKey = "observation",
         **options: Any,
     ) -> None:
         super().__init__(**options)
-        self.beta = as_schedule("beta", beta, 0, float("inf"))
-        self.temperature = as_schedule("temperature", temperature, 0, float("inf"))
+        self.follow("beta", beta, 0, float("inf"))
+        self.follow("temperature", temperature, 0, float("inf"))
         self.bits = check_integer("bits", bits, 1, 20)
-        read = [self.logits_key, "observation"]
+        if len(self._heads) > 1:
+            raise ValueError("CountBonus counts single actions, but the spec has several heads")
+        self.observation_key = observation_key
+        read = [self.logits_key, observation_key]
         self.in_keys = read  # pyright: ignore[reportAttributeAccessIssue]
         self._whom = (1, 0, 0)  # trials, seed, first trial
-        self._hash = torch.zeros(0)
-        self._counts = torch.zeros(0, dtype=torch.int32)
+        self._hash = torch.zeros(0, 0, 0)
+        self._reset(self._heads[0] if self._heads else 0)
+
+    def _reset(self, n_actions: int) -> None:
+        shape = (self._whom[0], 1 << self.bits, n_actions)
+        counts = torch.zeros(shape, dtype=torch.int32, device=self.iteration.device)
+        self.register_buffer("_counts", counts)
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *rest: Any) -> None:
+        saved = state_dict.get(f"{prefix}_counts")
+        if saved is not None and saved.shape[:2] == self._counts.shape[:2]:
+            self._reset(saved.shape[-1])
+        super()._load_from_state_dict(state_dict, prefix, *rest)
 
     def bind(
-        self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
+        self,
+        policy: TensorDictModuleBase,
+        trials: int,
+        *,
+        seed: int | None = None,
+        first_trial: int = 0,
     ) -> None:
         """Reset the counts to 0."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        self._whom = (trials, seed, first_trial)
-        self._hash, self._counts = torch.zeros(0), torch.zeros(0, dtype=torch.int32)
+        self._whom = (trials, seed or 0, first_trial)
+        self._hash = torch.zeros(0, 0, 0)
+        self._reset(self._heads[0] if self._heads else 0)
 
     def mixture(self) -> Mixture:
         """Softmax of ``preferences``."""
-        return Mixture(softmax=1.0, temperature=self.temperature(self.iteration))
+        return Mixture(softmax=1.0, temperature=self.temperature)
 
     def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
         """Logits plus bonus."""
-        self._prepare(tensordict.get("observation").shape[-1], logits.shape[-1])
-        visits = self._counts[self._cells(tensordict)]
-        beta = rows(self.beta(self.iteration), tensordict.get("trial", None), logits)
+        if self._counts.shape[-1] != logits.shape[-1]:
+            self._reset(logits.shape[-1])
+        trial = self._trial(tensordict)
+        observation = read(tensordict, self.observation_key)
+        visits = self._counts[self._cells(observation, trial)]
+        beta = rows(self.beta, trial, logits)
         return logits + beta / (visits.to(logits.dtype) + 1).sqrt()
 
-    def step(self, data: TensorDictBase | None = None) -> None:
-        """Count the frames of the iteration."""
-        super().step(data)
-        if data is None or not self._counts.numel():
+    def step(self, frames: TensorDictBase | int | None = None) -> None:
+        """Count the frames of the iteration.
+
+        Raises:
+            ValueError: if the number of actions is not known yet, from the spec or a first frame.
+        """
+        super().step(frames)
+        if not isinstance(frames, TensorDictBase):
             return
-        action = data.get(self.action_key)
-        if action.ndim > data.get("observation").ndim - 1:
+        valid = padding_mask(frames)
+        action = read(frames, self.action_key)[valid]
+        if isinstance(self.spec, OneHot):
             action = action.int().argmax(-1)
-        trial, cell = self._cells(data)
+        if not self._counts.numel():
+            raise ValueError("CountBonus does not know the number of actions: give the spec")
+        trial = self._trial(frames)
+        trial, cell = self._cells(
+            read(frames, self.observation_key)[valid], None if trial is None else trial[valid]
+        )
         ones = torch.ones_like(action, dtype=torch.int32)
         self._counts.index_put_((trial, cell, action.long()), ones, accumulate=True)
 
-    def _prepare(self, n_features: int, n_actions: int) -> None:
-        """Draw A and allocate N when the sizes are first known."""
-        if self._counts.numel():
-            return
-        trials, seed, first_trial = self._whom
-        shape = (self.bits, n_features)
-        drawn = [
-            generator(seed, Stream.STRATEGY, first_trial + k).standard_normal(shape, np.float32)
-            for k in range(trials)
-        ]
-        self._hash = torch.from_numpy(np.stack(drawn))
-        self._counts = torch.zeros(trials, 1 << self.bits, n_actions, dtype=torch.int32)
-
-    def _cells(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """The trial and cell of each frame, both [*batch]."""
-        observation = tensordict.get("observation").to(torch.float32)
-        trial = tensordict.get("trial", None)
+    def _cells(self, observation: Tensor, trial: Tensor | None) -> tuple[Tensor, Tensor]:
+        """The trial and cell of each observation, both [*batch]."""
+        if self._hash.shape[-1] != observation.shape[-1]:
+            self._hash = _projections(*self._whom, self.bits, observation.shape[-1])
+        self._hash = self._hash.to(observation.device)
+        place: Any = {"dtype": torch.int64, "device": observation.device}
+        batch = observation.shape[:-1]
         if trial is None:
-            trial = torch.zeros(observation.shape[:-1], dtype=torch.int64)
-        positive = lane_linear(observation, self._hash, trial) > 0
-        return trial, (positive * (1 << torch.arange(self.bits))).sum(-1)
+            trial = torch.zeros((), **place)
+        trial = trial.reshape(trial.shape + (1,) * (len(batch) - trial.ndim)).expand(batch)
+        linear = plain_lane_linear if torch.compiler.is_compiling() else lane_linear
+        positive = linear(observation.to(torch.float32), self._hash, trial) > 0
+        return trial, (positive * (1 << torch.arange(self.bits, **place))).sum(-1)
 
-    def get_extra_state(self) -> dict[str, Any]:
-        """The state for ``state_dict``, including A and N of every trial."""
-        visited = {"hash": self._hash.clone(), "counts": self._counts.clone()}
-        return {**super().get_extra_state(), **visited}
 
-    def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore the state from ``get_extra_state``."""
-        super().set_extra_state(state)
-        self._hash, self._counts = state["hash"].clone(), state["counts"].clone()
+@torch._dynamo.assume_constant_result
+def _projections(trials: int, seed: int, first_trial: int, bits: int, n_features: int) -> Tensor:
+    """A of every trial [trials, bits, n_features]."""
+    drawn = [
+        generator(seed, Stream.STRATEGY, first_trial + k).standard_normal(
+            (bits, n_features), np.float32
+        )
+        for k in range(trials)
+    ]
+    return torch.from_numpy(np.stack(drawn))

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from torch import Tensor
+
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
-from trl_explore.strategies.schedules import Exponential, Schedule, as_schedule
+from trl_explore.strategies.schedules import Exponential, Schedule
 
 
 class EpsilonGreedy(MixtureStrategy):
@@ -27,14 +29,15 @@ class EpsilonGreedy(MixtureStrategy):
         tensor([0.0500, 0.4500, 0.0500, 0.4500])
     """
 
+    epsilon: Tensor
+
     def __init__(self, epsilon: float | Sequence[float] | Schedule = 0.3, **options: Any) -> None:
         super().__init__(**options)
-        self.epsilon = as_schedule("epsilon", epsilon, 0, 1)
+        self.follow("epsilon", epsilon, 0, 1)
 
     def mixture(self) -> Mixture:
         """Argmax with weight 1 − ε, uniform with weight ε."""
-        epsilon = self.epsilon(self.iteration)
-        return Mixture(greedy=1 - epsilon, uniform=epsilon)
+        return Mixture(greedy=1 - self.epsilon, uniform=self.epsilon)
 
 
 class DecayingEpsilonGreedy(EpsilonGreedy):
@@ -77,6 +80,8 @@ class EpsilonSoftmax(MixtureStrategy):
     """
 
     differentiable = True
+    epsilon: Tensor
+    temperature: Tensor
 
     def __init__(
         self,
@@ -85,15 +90,12 @@ class EpsilonSoftmax(MixtureStrategy):
         **options: Any,
     ) -> None:
         super().__init__(**options)
-        self.epsilon = as_schedule("epsilon", epsilon, 0, 1)
-        self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
+        self.follow("epsilon", epsilon, 0, 1)
+        self.follow("temperature", temperature, 0, float("inf"), low_open=True)
 
     def mixture(self) -> Mixture:
         """Softmax with weight 1 − ε, uniform with weight ε."""
-        epsilon = self.epsilon(self.iteration)
-        return Mixture(
-            softmax=1 - epsilon, uniform=epsilon, temperature=self.temperature(self.iteration)
-        )
+        return Mixture(softmax=1 - self.epsilon, uniform=self.epsilon, temperature=self.temperature)
 
 
 class MaxBoltzmann(MixtureStrategy):
@@ -118,6 +120,9 @@ class MaxBoltzmann(MixtureStrategy):
         tensor([0.1000, 0.9000])
     """
 
+    epsilon: Tensor
+    temperature: Tensor
+
     def __init__(
         self,
         epsilon: float | Sequence[float] | Schedule = 0.3,
@@ -125,10 +130,9 @@ class MaxBoltzmann(MixtureStrategy):
         **options: Any,
     ) -> None:
         super().__init__(**options)
-        self.epsilon = as_schedule("epsilon", epsilon, 0, 1)
-        self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
+        self.follow("epsilon", epsilon, 0, 1)
+        self.follow("temperature", temperature, 0, float("inf"), low_open=True)
 
     def mixture(self) -> Mixture:
         """Argmax with weight 1 − ε, softmax with weight ε."""
-        epsilon = self.epsilon(self.iteration)
-        return Mixture(1 - epsilon, epsilon, temperature=self.temperature(self.iteration))
+        return Mixture(1 - self.epsilon, self.epsilon, temperature=self.temperature)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from torch import Tensor
+
 from trl_explore.strategies.continuous import ContinuousMixture, ContinuousMixtureStrategy
-from trl_explore.strategies.schedules import Schedule, as_schedule
+from trl_explore.strategies.schedules import Schedule
 
 
 class MeanAction(ContinuousMixtureStrategy):
@@ -25,6 +27,7 @@ class MeanAction(ContinuousMixtureStrategy):
     """
 
     exact = False
+    scaled = False
 
     def mixture(self) -> ContinuousMixture:
         """All weight on the mean."""
@@ -50,6 +53,7 @@ class UniformAction(ContinuousMixtureStrategy):
 
     differentiable = True
     boxed = True
+    scaled = False
 
     def mixture(self) -> ContinuousMixture:
         """All weight on uniform."""
@@ -79,16 +83,17 @@ class Gaussian(ContinuousMixtureStrategy):
     """
 
     differentiable = True
+    temperature: Tensor
 
     def __init__(
         self, temperature: float | Sequence[float] | Schedule = 1.0, **options: Any
     ) -> None:
         super().__init__(**options)
-        self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
+        self.follow("temperature", temperature, 0, float("inf"), low_open=True)
 
     def mixture(self) -> ContinuousMixture:
         """All weight on the Gaussian."""
-        return ContinuousMixture(gaussian=1.0, temperature=self.temperature(self.iteration))
+        return ContinuousMixture(gaussian=1.0, temperature=self.temperature)
 
 
 class EpsilonUniform(ContinuousMixtureStrategy):
@@ -117,15 +122,15 @@ class EpsilonUniform(ContinuousMixtureStrategy):
 
     differentiable = True
     boxed = True
+    epsilon: Tensor
 
     def __init__(self, epsilon: float | Sequence[float] | Schedule = 0.3, **options: Any) -> None:
         super().__init__(**options)
-        self.epsilon = as_schedule("epsilon", epsilon, 0, 1)
+        self.follow("epsilon", epsilon, 0, 1)
 
     def mixture(self) -> ContinuousMixture:
         """The Gaussian with weight 1 − ε, uniform with weight ε."""
-        epsilon = self.epsilon(self.iteration)
-        return ContinuousMixture(gaussian=1 - epsilon, uniform=epsilon)
+        return ContinuousMixture(gaussian=1 - self.epsilon, uniform=self.epsilon)
 
 
 class EpsilonMean(EpsilonUniform):
@@ -146,8 +151,8 @@ class EpsilonMean(EpsilonUniform):
 
     exact = False
     differentiable = False
+    scaled = False
 
     def mixture(self) -> ContinuousMixture:
         """The mean with weight 1 − ε, uniform with weight ε."""
-        epsilon = self.epsilon(self.iteration)
-        return ContinuousMixture(mean=1 - epsilon, uniform=epsilon)
+        return ContinuousMixture(mean=1 - self.epsilon, uniform=self.epsilon)

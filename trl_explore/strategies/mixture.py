@@ -6,23 +6,25 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from functools import reduce
 from operator import add
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from trl_explore.checks import holds, settle
-from trl_explore.strategies.schedules import Schedule, Value, as_schedule
-from trl_explore.strategies.strategy import Strategy, rows
+from trl_explore.strategies.schedules import Schedule, Value
+from trl_explore.strategies.strategy import Strategy, numbers, present, rows
 
 
 class Mixture(NamedTuple):
-    """The weights and temperature in one iteration; each a number, or one per trial [trials].
+    """The weights and temperature in one iteration; each a number [], or one per trial [trials].
 
-    The weights are non-negative and sum to 1; the temperature is >= 0, where 0 is the limit.
+    The weights are non-negative and sum to 1; the temperature is >= 0, where 0 is the limit. A
+    part whose weight is the Python number 0 is never computed.
     """
 
     greedy: Value | Tensor = 0.0
@@ -61,7 +63,12 @@ class MixtureStrategy(Strategy):
         """Weights and temperature in the current iteration."""
 
     def bind(
-        self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
+        self,
+        policy: TensorDictModuleBase,
+        trials: int,
+        *,
+        seed: int | None = None,
+        first_trial: int = 0,
     ) -> None:
         """Connect the strategy to its target policy."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
@@ -70,16 +77,16 @@ class MixtureStrategy(Strategy):
     def on_policy(self) -> bool | NDArray[np.bool_]:
         """Whether μ = softmax(logits): the mixture is softmax alone, at T = 1."""
         mixed = holds(self, "mixes_policy", self.REPLACED)
-        return mixed and self.mixes_policy and is_softmax_alone(self.mixture())
+        return mixed and self.mixes_policy and is_softmax_alone(Mixture(*numbers(self.mixture())))
 
     def checked_mixture(self, trials: int) -> Mixture:
-        """The mixture of the current iteration, checked for ``trials`` trials.
+        """The mixture of the current iteration as numbers, checked for ``trials`` trials.
 
         Raises:
             ValueError: if a per-trial entry does not have one value for every trial, or the
                 weights are negative or do not sum to 1.
         """
-        point = self.mixture()
+        point = Mixture(*numbers(self.mixture()))
         for name, value in zip(Mixture._fields, point, strict=True):
             if not isinstance(value, float) and np.shape(value) not in ((), (trials,)):
                 raise ValueError(
@@ -112,7 +119,7 @@ class MixtureStrategy(Strategy):
 
 
 def is_softmax_alone(mixture: Mixture) -> bool | NDArray[np.bool_]:
-    """Whether a mixture is softmax at T = 1; one value, or one per trial.
+    """Whether a mixture of numbers is softmax at T = 1; one value, or one per trial.
 
     Example:
         >>> is_softmax_alone(Mixture(softmax=1.0)), is_softmax_alone(Mixture(greedy=1.0))
@@ -128,37 +135,38 @@ def is_softmax_alone(mixture: Mixture) -> bool | NDArray[np.bool_]:
 def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
     """The probabilities [*batch, n_actions] of a mixture, whose entries broadcast to ``logits``.
 
+    NaN in a row without a logit above −∞, if the mixture uses the logits' order or their −∞.
+
     Example:
         >>> mixture_probs(torch.tensor([0.0, 4.0, -1.0, 4.0]), Mixture(greedy=0.8, uniform=0.2))
         tensor([0.0500, 0.4500, 0.0500, 0.4500])
     """
     terms: list[Tensor] = []
+    limits = torch.finfo(logits.dtype)
     largest = logits.amax(-1, keepdim=True)
-    if _any(mixture.greedy):
-        best = (logits == largest).to(logits.dtype)
-        terms.append(_weigh(best / best.sum(-1, keepdim=True), mixture.greedy))
-    if _any(mixture.softmax):
+    soft, uniform = present(mixture.softmax), present(mixture.uniform)
+    if present(mixture.greedy):
+        # A row of −∞ has no best action; the other parts find that by themselves.
+        floor = largest if soft or uniform else largest.clamp(min=limits.min)
+        terms.append(_share(logits >= floor, logits.dtype, mixture.greedy))
+    if soft:
         # To avoid overflow, subtract the maximum first and keep T within the dtype's range.
-        limits = torch.finfo(logits.dtype)
         temperature = mixture.temperature
         if isinstance(temperature, Tensor):
             temperature = temperature.clamp(limits.tiny, limits.max)
         else:
             temperature = min(max(float(temperature), limits.tiny), limits.max)
-        soft = torch.softmax((logits - largest) / temperature, -1)
-        terms.append(_weigh(soft, mixture.softmax))
-    if _any(mixture.uniform):
-        legal = (logits != -torch.inf).to(logits.dtype)
-        terms.append(_weigh(legal / legal.sum(-1, keepdim=True), mixture.uniform))
+        soft_max = torch.softmax((logits - largest) / temperature, -1)
+        terms.append(soft_max * cast(Tensor, mixture.softmax))
+    if uniform:
+        terms.append(_share(logits >= limits.min, logits.dtype, mixture.uniform))
     return reduce(add, terms)
 
 
-def _weigh(corner: Tensor, weight: Value | Tensor) -> Tensor:
-    return corner * (torch.as_tensor(weight) if isinstance(weight, np.ndarray) else weight)
-
-
-def _any(weight: Value | Tensor) -> bool:
-    return weight != 0 if isinstance(weight, int | float) else bool((weight != 0).any())
+def _share(members: Tensor, dtype: torch.dtype, weight: Value | Tensor) -> Tensor:
+    """A weight shared equally by some of the actions."""
+    share = members.to(dtype)
+    return share * (share.sum(-1, keepdim=True).reciprocal() * cast(Tensor, weight))
 
 
 class Random(MixtureStrategy):
@@ -217,16 +225,17 @@ class Softmax(MixtureStrategy):
     """
 
     differentiable = True
+    temperature: Tensor
 
     def __init__(
         self, temperature: float | Sequence[float] | Schedule = 1.0, **options: Any
     ) -> None:
         super().__init__(**options)
-        self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
+        self.follow("temperature", temperature, 0, float("inf"), low_open=True)
 
     def mixture(self) -> Mixture:
         """All weight on softmax."""
-        return Mixture(softmax=1.0, temperature=self.temperature(self.iteration))
+        return Mixture(softmax=1.0, temperature=self.temperature)
 
 
 Parameter = float | Sequence[float] | Schedule
@@ -257,6 +266,12 @@ class FullMixture(MixtureStrategy):
         tensor([0.2500, 0.7500])
     """
 
+    learns_from_data = False
+    greedy: Tensor
+    softmax: Tensor
+    uniform: Tensor
+    temperature: Tensor
+
     def __init__(
         self,
         greedy: Parameter = 0.4,
@@ -266,30 +281,38 @@ class FullMixture(MixtureStrategy):
         **options: Any,
     ) -> None:
         super().__init__(**options)
-        self.greedy = as_schedule("greedy", greedy, 0, float("inf"))
-        self.softmax = as_schedule("softmax", softmax, 0, float("inf"))
-        self.uniform = as_schedule("uniform", uniform, 0, float("inf"))
-        self.temperature = as_schedule("temperature", temperature, 0, float("inf"), low_open=True)
-        self.mixture()
+        for name, weight in {"greedy": greedy, "softmax": softmax, "uniform": uniform}.items():
+            self.follow(name, weight, 0, float("inf"))
+        self.follow("temperature", temperature, 0, float("inf"), low_open=True)
+        self._check_weights()
 
     @property
     def differentiable(self) -> bool:
         """Whether the weight of argmax is 0 in every iteration."""
-        return self.greedy.bounds[1] == 0
+        return self.schedules["greedy"].bounds[1] == 0
 
     def mixture(self) -> Mixture:
         """The weights divided by their sum."""
-        weights = [w(self.iteration) for w in (self.greedy, self.softmax, self.uniform)]
-        shapes = {np.shape(w) for w in weights} - {()}
-        if len(shapes) > 1:
+        total = self.greedy + self.softmax + self.uniform
+        weights = self.greedy / total, self.softmax / total, self.uniform / total
+        return Mixture(*weights, temperature=self.temperature)
+
+    def step(self, frames: TensorDictBase | int | None = None) -> None:
+        """Advance the schedules, and check that a weight is left."""
+        super().step(frames)
+        self._check_weights()
+
+    def _check_weights(self) -> None:
+        weights = [self.greedy, self.softmax, self.uniform]
+        sizes = sorted({len(w) for w in weights if w.ndim})
+        if len(sizes) > 1:
             raise ValueError(
                 "greedy, softmax and uniform must have equally many values per trial, "
-                f"got weights with {sorted(s[0] for s in shapes)} values"
+                f"got weights with {sizes} values"
             )
-        total = weights[0] + weights[1] + weights[2]
-        if np.any(total == 0) or not np.all(np.isfinite(total)):
+        total = self.greedy + self.softmax + self.uniform
+        if not bool(((total > 0) & total.isfinite()).all()):
             raise ValueError(
                 "greedy + softmax + uniform must be a positive number, "
-                f"got {total} in iteration {self.iteration}"
+                f"got {total.tolist()} in iteration {int(self.iteration)}"
             )
-        return Mixture(*(w / total for w in weights), temperature=self.temperature(self.iteration))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torch.func import functional_call
@@ -16,8 +16,9 @@ from torch.func import functional_call
 from trl_explore.checks import check_number
 from trl_explore.numerics.score import lane_sum
 from trl_explore.numerics.streams import Stream, generator
+from trl_explore.strategies.first_frames import FirstFrames
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
-from trl_explore.strategies.schedules import Schedule, as_schedule
+from trl_explore.strategies.schedules import Schedule
 
 Parameters = dict[str, Tensor]
 
@@ -37,16 +38,18 @@ class ParameterNoise(MixtureStrategy):
 
         σ ← factor · σ if d <= threshold, else σ / factor      (§3.1; appendix C.1 for the KL)
 
-    The first dimension of every parameter of the policy is the trial; with a single trial, any
-    shape works. Call ``bind`` to set the policy. A collector that does not call ``begin`` must mark
-    the first frame of each episode with "is_init" (TorchRL's ``InitTracker``); without it, one
-    perturbation is kept throughout.
+    Call ``bind`` to set the policy. A collector of this package calls ``begin``; the first
+    dimension of every parameter of the policy is then the trial, and with a single trial any shape
+    works. With any other collector every lane of the batch has a perturbation ξ of its own, which
+    the first frame of an episode replaces (see ``strategies.first_frames``), and d is the mean over
+    the frames since the last ``step`` that this copy of the strategy has seen.
 
     Args:
         sigma: σ >= 0, a number, one number per trial, or a schedule of the iteration.
         temperature: T >= 0, in the same forms as ``sigma``; 0 gives argmax.
         threshold: > 0, the target for d; None: σ does not adapt.
         factor: > 1.
+        is_init_key: the entry that marks the first frame of an episode.
         options: the arguments of ``Strategy``.
 
     Raises:
@@ -54,6 +57,10 @@ class ParameterNoise(MixtureStrategy):
     """
 
     compilable = True  # its preferences are the logits of ``behaviour_parameters``
+    sigma: Tensor
+    temperature: Tensor
+    scale: Tensor
+    """The factor that adaptation applies to σ, for each trial [trials]."""
 
     def __init__(
         self,
@@ -61,30 +68,36 @@ class ParameterNoise(MixtureStrategy):
         temperature: float | Sequence[float] | Schedule = 1.0,
         threshold: float | None = 0.1,
         factor: float = 1.01,
+        is_init_key: NestedKey = "is_init",
         **options: Any,
     ) -> None:
         super().__init__(**options)
-        self.sigma = as_schedule("sigma", sigma, 0, float("inf"))
-        self.temperature = as_schedule("temperature", temperature, 0, float("inf"))
+        self.follow("sigma", sigma, 0, float("inf"))
+        self.follow("temperature", temperature, 0, float("inf"))
         self.threshold = threshold
         if threshold is not None:
             self.threshold = check_number("threshold", threshold, 0, low_open=True)
         self.factor = check_number("factor", factor, 1, low_open=True)
-        self.scale: NDArray[np.float64] = np.ones(1)
-        """The factor that adaptation applies to σ, for each trial [trials]."""
+        self.register_buffer("scale", torch.ones(1, dtype=torch.float64))
         self._policy: tuple[TensorDictModuleBase, ...] = ()  # a tuple: not a submodule
         self._whom = (0, 0)  # seed, first trial
+        self._first = FirstFrames(str(type(self).__name__), is_init_key)
         self._forget(1)
 
     def _forget(self, trials: int) -> None:
-        self._episodes = np.full(trials, -1, dtype=np.int64)
         self._noise_of = np.zeros((trials, 0))
-        self._fresh = np.zeros(trials, dtype=np.bool_)
         self._center: Parameters = {}
         self._perturbed: Parameters = {}
+        self._xi = torch.zeros(0, 0)  # of the lanes of this process: no buffer
+        self._kl = torch.zeros(2, dtype=torch.float64)  # sum and number of frames
 
     def bind(
-        self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
+        self,
+        policy: TensorDictModuleBase,
+        trials: int,
+        *,
+        seed: int | None = None,
+        first_trial: int = 0,
     ) -> None:
         """Set the policy whose parameters are perturbed."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
@@ -94,19 +107,18 @@ class ParameterNoise(MixtureStrategy):
                     f"the first dimension of every parameter must be the {trials} trials, "
                     f"got {name} of shape {list(parameter.shape)}"
                 )
-        self._policy, self._whom = (policy,), (seed, first_trial)
-        self.scale = np.ones(trials)
+        self._policy, self._whom = (policy,), (seed or 0, first_trial)
+        ones = torch.ones(trials, dtype=torch.float64, device=self.scale.device)
+        self.register_buffer("scale", ones)
         self._forget(trials)
 
     def mixture(self) -> Mixture:
         """Softmax of ``preferences``."""
-        return Mixture(softmax=1.0, temperature=self.temperature(self.iteration))
+        return Mixture(softmax=1.0, temperature=self.temperature)
 
     def begin(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
         """Perturb the parameters of the active trials for one episode."""
-        if not self._policy:
-            raise ValueError("parameter noise has no policy: call bind(policy, trials) first")
-        own = {name: p.detach() for name, p in self._policy[0].named_parameters()}
+        own = self._own()
         trials = len(self.scale)
         size = sum(p.numel() for p in own.values()) // trials
         if self._noise_of.shape[1] != size:
@@ -115,8 +127,6 @@ class ParameterNoise(MixtureStrategy):
         for k in np.flatnonzero(active).tolist():
             stream = generator(seed, Stream.STRATEGY, first_trial + k, int(episodes[k]))
             self._noise_of[k] = stream.standard_normal(size)
-        self._episodes[active] = episodes[active]
-        self._fresh[active] = True
         noise = torch.from_numpy(self._noise_of * self._sigma()[:, None])
         if not self._center:
             self._center = {name: p.clone() for name, p in own.items()}
@@ -131,31 +141,51 @@ class ParameterNoise(MixtureStrategy):
                 self._center[name][rows] = parameter[rows]
             self._perturbed[name] = self._center[name] + shift
 
+    def _own(self) -> Parameters:
+        """The parameters of the policy."""
+        if not self._policy:
+            raise ValueError("parameter noise has no policy: call bind(policy, trials) first")
+        return {name: p.detach() for name, p in self._policy[0].named_parameters()}
+
     def _sigma(self) -> NDArray[np.float64]:
         """σ of each trial in the current iteration [trials]."""
-        return self.scale * self.sigma(self.iteration)
+        return (self.scale * self.sigma).numpy(force=True)
 
     def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
         """The logits of the perturbed policy."""
-        first = tensordict.get("is_init", None)
-        if not self._perturbed:
-            self.begin(np.ones(len(self.scale), dtype=np.bool_), self._episodes.clip(0))
-        elif first is not None:
-            self._begin_again(tensordict, first)
-        self._fresh[:] = False
-        return self._logits(self._perturbed, tensordict).masked_fill(
-            logits == -torch.inf, -torch.inf
-        )
+        if self._perturbed:
+            found = self._logits(self._perturbed, tensordict)
+            return torch.where(logits == -torch.inf, logits, found)
+        found = self._of_lanes(tensordict).reshape(logits.shape)
+        found = torch.where(logits == -torch.inf, logits, found)
+        if self.threshold is not None:
+            distance = self._divergence(logits, found).sum()
+            number = torch.full_like(distance, found[..., 0].numel())
+            self._kl = self._kl.to(logits.device) + torch.stack([distance, number])
+        return found
 
-    def _begin_again(self, tensordict: TensorDictBase, first: Tensor) -> None:
-        """Begin the next episode of trials at a first frame, unless it has just begun."""
-        trial = tensordict.get("trial", None)
-        starts = np.zeros(len(self.scale), dtype=np.bool_)
-        first = first.reshape(-1)
-        starts[0 if trial is None else trial.reshape(-1)[first].numpy()] = bool(first.any())
-        starts &= ~self._fresh
-        if starts.any():
-            self.begin(starts, self._episodes + 1)
+    @torch.no_grad()
+    def _of_lanes(self, tensordict: TensorDictBase) -> Tensor:
+        """The logits of the perturbed policy, with one perturbation for each lane."""
+        own, policy = self._own(), self._policy[0]
+        given = tensordict.select(*policy.in_keys, strict=False)
+        sizes = [p.numel() for p in own.values()]
+        like = next(iter(own.values()))
+        shape = (given.batch_size.numel(), sum(sizes))
+        fresh = torch.randn(shape, dtype=like.dtype, device=like.device)
+        first = self._first(tensordict, given.batch_size).reshape(-1, 1)
+        if self._xi.shape != shape or self._xi.device != like.device:
+            self._xi = fresh
+        else:
+            self._xi = torch.where(first, fresh, self._xi)
+        sigma = (self.scale * self.sigma).to(like.dtype)[0]
+
+        def perturbed(xi: Tensor, frame: TensorDictBase) -> Tensor:
+            parts = zip(own.items(), xi.split(sizes), strict=True)
+            moved = {name: p + sigma * part.reshape(p.shape) for (name, p), part in parts}
+            return functional_call(policy, moved, (frame,)).get(self.logits_key)
+
+        return torch.vmap(perturbed)(self._xi, given.reshape(-1))
 
     def _logits(self, parameters: Parameters, tensordict: TensorDictBase) -> Tensor:
         policy = self._policy[0]
@@ -168,50 +198,49 @@ class ParameterNoise(MixtureStrategy):
         names = {id(parameter): name for name, parameter in self._policy[0].named_parameters()}
         return [self._perturbed[names[id(parameter)]] for parameter in parameters]
 
-    def step(self, data: TensorDictBase | None = None) -> None:
+    def step(self, frames: TensorDictBase | int | None = None) -> None:
         """Adapt σ."""
-        super().step(data)
-        if data is None or self.threshold is None or not self._perturbed:
+        super().step(frames)
+        if self.threshold is None:
             return
-        data = _last_episodes(data)
-        distance, frames = self._distance(data)
+        if not self._perturbed:
+            total, number = self._kl.tolist()
+            self._kl = torch.zeros_like(self._kl)
+            distance, number = np.array([total / max(number, 1)]), np.array([number])
+        elif isinstance(frames, TensorDictBase):
+            distance, number = self._distance(self._last_episodes(frames))
+        else:
+            return
         grow = np.where(distance <= self.threshold, self.factor, 1 / self.factor)
-        self.scale = np.where(frames > 0, self.scale * grow, self.scale)
+        scale = self.scale.numpy(force=True)
+        self.scale.copy_(torch.from_numpy(np.where(number > 0, scale * grow, scale)))
 
     def _distance(self, data: TensorDictBase) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Mean KL(π‖π̃) over the frames of each trial, and their number, both [trials]."""
         trials = len(self.scale)
-        own, other = (self._logits(p, data) for p in (self._center, self._perturbed))
-        if (mask := data.get(self.action_mask_key, None)) is not None:
-            own, other = own.masked_fill(~mask, -torch.inf), other.masked_fill(~mask, -torch.inf)
-        own, other = own.double().log_softmax(-1), other.double().log_softmax(-1)
-        terms = torch.where(own == -torch.inf, 0.0, own.exp() * (own - other))
-        trial = data.get("trial", None)
+        own, other = (
+            self._masked(data, self._logits(p, data)) for p in (self._center, self._perturbed)
+        )
+        trial = self._trial(data)
         if trial is None:
             trial = torch.zeros(len(data), dtype=torch.int64)
         frames = torch.bincount(trial, minlength=trials)
-        total = lane_sum(terms.sum(-1), trial, trials)
+        total = lane_sum(self._divergence(own, other), trial, trials)
         return (total / frames.clamp(min=1)).numpy(), frames.numpy()
 
-    def get_extra_state(self) -> dict[str, Any]:
-        """The state for ``state_dict``; perturbations are redrawn from their streams."""
-        adapted = {"scale": torch.tensor(self.scale), "episodes": torch.tensor(self._episodes)}
-        return {**super().get_extra_state(), **adapted}
+    def _divergence(self, own: Tensor, other: Tensor) -> Tensor:
+        """KL(π‖π̃) of two sets of masked logits [*batch], in double."""
+        own, other = (self._split(x).double().log_softmax(-1) for x in (own, other))
+        terms = torch.where(own == -torch.inf, 0.0, own.exp() * (own - other)).sum(-1)
+        return terms.sum(-1) if len(self._heads) > 1 else terms
 
-    def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore the state from ``get_extra_state``."""
-        super().set_extra_state(state)
-        self._forget(len(state["scale"]))
-        self.scale, self._episodes = state["scale"].numpy().copy(), state["episodes"].numpy().copy()
-
-
-def _last_episodes(data: TensorDictBase) -> TensorDictBase:
-    """The frames of every trial's last episode, flat [frames]."""
-    data = data.reshape(-1)
-    trial = data.get("trial", None)
-    if trial is None:
-        trial = torch.zeros(len(data), dtype=torch.int64)
-    done = data.get(("next", "done")).reshape(-1)
-    ended = done.cumsum(0) - done.long()  # episodes that ended before the frame
-    last = ended.new_zeros(int(trial.max()) + 1).scatter_reduce(0, trial, ended, "amax")
-    return data[ended == last[trial]]
+    def _last_episodes(self, data: TensorDictBase) -> TensorDictBase:
+        """The frames of every trial's last episode, flat [frames]."""
+        data = data.reshape(-1)
+        trial = self._trial(data)
+        if trial is None:
+            trial = torch.zeros(len(data), dtype=torch.int64)
+        done = data.get(("next", "done")).reshape(-1)
+        ended = done.cumsum(0) - done.long()  # episodes that ended before the frame
+        last = ended.new_zeros(int(trial.max()) + 1).scatter_reduce(0, trial, ended, "amax")
+        return data[ended == last[trial]]

@@ -1,7 +1,8 @@
-"""Schedules: functions of the iteration.
+"""Schedules: functions of the iteration, or of the number of frames.
 
 Each parameter of a strategy is a schedule, so a decaying parameter needs no new strategy class.
-Iterations count from 0 and advance once per update of a trial, never per frame.
+Iterations count from 0 and advance once per update of a trial. Frames advance by the number of
+frames given to the strategy's ``step``.
 """
 
 from __future__ import annotations
@@ -21,10 +22,15 @@ Value = float | NDArray[np.float64]
 
 
 class Schedule(ABC):
-    """A function i -> value of the iteration i = 0, 1, 2, ...
+    """A function i -> value of the iteration i = 0, 1, 2, ..., or of the number of frames.
 
     The value is one number for all trials, or an array [trials] with one per trial.
+
+    Attributes:
+        clock: what i counts, "iterations" or "frames".
     """
+
+    clock = "iterations"
 
     @abstractmethod
     def __call__(self, iteration: int) -> Value:
@@ -74,25 +80,42 @@ class Constant(Schedule):
 
 
 class _Walk(Schedule):
-    """From ``initial`` in iteration 0 to ``final`` in iteration ``iterations``, then constant.
+    """From ``initial`` at 0 to ``final`` after some iterations or frames, then constant.
 
     Args:
-        initial: the value in iteration 0.
-        final: the value from iteration ``iterations`` on.
+        initial: the value at 0.
+        final: the value at the end and later.
         iterations: the number of iterations until ``final``, > 0.
+        frames: the number of frames until ``final``, > 0; in place of ``iterations``.
 
     Raises:
-        ValueError: if an argument is not finite or ``iterations`` < 1.
+        ValueError: if an argument is not finite, or not exactly one length >= 1 is given.
     """
 
-    def __init__(self, initial: float, final: float, iterations: int) -> None:
+    def __init__(
+        self,
+        initial: float,
+        final: float,
+        iterations: int | None = None,
+        *,
+        frames: int | None = None,
+    ) -> None:
         self.initial = check_number("initial", initial)
         self.final = check_number("final", final)
-        self.iterations = check_integer("iterations", iterations, 1)
+        if frames is None:
+            self.iterations = check_integer("iterations", iterations, 1)
+        elif iterations is None:
+            self.frames = check_integer("frames", frames, 1)
+            self.clock = "frames"
+        else:
+            raise ValueError(
+                f"give iterations or frames, not both: got {iterations!r} and {frames!r}"
+            )
 
     def __call__(self, iteration: int) -> float:
-        """The value in ``iteration``, counted from 0."""
-        progress = self._progress(min(iteration / self.iterations, 1.0))
+        """The value in ``iteration``, or after as many frames, counted from 0."""
+        length = self.frames if self.clock == "frames" else self.iterations
+        progress = self._progress(min(iteration / length, 1.0))
         value = self.initial + (self.final - self.initial) * progress
         low, high = self.bounds
         return min(max(value, low), high)  # rounding must not leave the bounds
@@ -110,7 +133,8 @@ class _Walk(Schedule):
 class Linear(_Walk):
     """value(i) = initial + (final − initial) · min(i / iterations, 1).
 
-    Raises ValueError unless ``initial`` and ``final`` are finite and ``iterations`` >= 1.
+    With ``frames`` in place of ``iterations``, i counts frames. Raises ValueError unless
+    ``initial`` and ``final`` are finite and the length is >= 1.
 
     Example:
         >>> [Linear(1.0, 0.0, iterations=4)(i) for i in (0, 1, 4, 9)]
@@ -125,8 +149,8 @@ class Cosine(_Walk):
     """value(i) = final + (initial − final) · (1 + cos(π · min(i / iterations, 1))) / 2.
 
     Slow at both ends and fastest in the middle (Loshchilov & Hutter 2017, "SGDR", eq. 5, without
-    restarts). Raises ValueError unless ``initial`` and ``final`` are finite and
-    ``iterations`` >= 1.
+    restarts). With ``frames`` in place of ``iterations``, i counts frames. Raises ValueError unless
+    ``initial`` and ``final`` are finite and the length is >= 1.
 
     Example:
         >>> [round(Cosine(1.0, 0.0, iterations=3)(i), 6) for i in (0, 1, 2, 3, 9)]
@@ -261,7 +285,7 @@ class Rows(Schedule):
     """
 
     def __init__(self, schedule: Schedule, rows: slice) -> None:
-        self.schedule, self.rows = schedule, rows
+        self.schedule, self.rows, self.clock = schedule, rows, schedule.clock
 
     def __call__(self, iteration: int) -> Value:
         """The values in ``iteration``, counted from 0."""

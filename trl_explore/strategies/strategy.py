@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -11,11 +12,20 @@ from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
-from torchrl.data import Categorical, Composite, OneHot, TensorSpec
+from torch._C._functorch import is_batchedtensor
+from torchrl.data import (
+    Categorical,
+    Composite,
+    MultiCategorical,
+    MultiOneHot,
+    OneHot,
+    TensorSpec,
+)
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from trl_explore.checks import settle
-from trl_explore.strategies.schedules import Constant, Rows, Schedule
+from trl_explore.checks import check_integer, settle
+from trl_explore.strategies import workers
+from trl_explore.strategies.schedules import Constant, Rows, Schedule, Value, as_schedule
 
 
 class BaseStrategy(TensorDictModuleBase):
@@ -24,13 +34,21 @@ class BaseStrategy(TensorDictModuleBase):
     The base class of ``Strategy`` (n actions) and ``ContinuousStrategy`` (vectors). It holds the
     hooks that a collector calls, the random numbers and the state, but no distribution.
 
+    State that a trainer changes is in buffers, so that it reaches copies in other processes and on
+    other devices: ``iteration``, ``frames``, and the current value of every schedule under the name
+    of its parameter (``epsilon``, ``temperature``, ...).
+
+    Random numbers come from torch's generator of the process, as in TorchRL's own modules, unless
+    there is an entry ``noise_key``. Worker processes have different, reproducible numbers: see
+    ``strategies.workers``.
+
     Attributes:
         actions: the kind of action, "discrete" or "continuous".
-        exact: whether "action_log_prob" is the exact log-probability of the action under μ. If
-            False, the strategy writes none.
+        exact: whether the log-probability of the action is known exactly. If False, the strategy
+            writes none.
         differentiable: whether the probability under μ is differentiable in the policy's output,
             in every iteration.
-        noise_size: the number of uniform numbers per frame; if more than one, "noise" is
+        noise_size: the number of uniform numbers per draw; if more than one, the noise is
             [*batch, noise_size].
         learns_from_data: whether ``step`` needs the frames of the iteration. True in a class that
             overrides ``step``, unless the class declares it.
@@ -41,7 +59,12 @@ class BaseStrategy(TensorDictModuleBase):
     Args:
         in_keys: the entries to read.
         action_key: the entry to write the action to.
-        seed: seed of the module's own generator, used if there is no "noise" entry.
+        log_prob_key: the entry to write the log-probability to; None: beside the action, with the
+            suffix "_log_prob".
+        noise_key: the entry with uniform numbers in [0, 1) that decide the draw; None: there is
+            none, except from a collector of this package, which writes "noise".
+        trial_key: the entry with the trial of each frame; read only if a parameter or the state
+            differs between trials.
     """
 
     actions: ClassVar[str]
@@ -50,20 +73,82 @@ class BaseStrategy(TensorDictModuleBase):
     noise_size = 1
     learns_from_data: ClassVar[bool] = False
     per_episode: ClassVar[bool] = False
+    iteration: Tensor
+    frames: Tensor
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         settle(cls, "learns_from_data", True, ["step"])
         settle(cls, "per_episode", True, ["begin"])
 
-    def __init__(self, in_keys: list[NestedKey], *, action_key: NestedKey, seed: int) -> None:
+    def __init__(
+        self,
+        in_keys: Sequence[NestedKey],
+        *,
+        action_key: NestedKey,
+        log_prob_key: NestedKey | None,
+        noise_key: NestedKey | None,
+        trial_key: NestedKey,
+    ) -> None:
         super().__init__()
-        self.action_key = action_key
-        self.in_keys = in_keys  # pyright: ignore[reportAttributeAccessIssue]
-        written = [action_key, "action_log_prob"] if self.exact else [action_key]
+        self.action_key, self.noise_key, self.trial_key = action_key, noise_key, trial_key
+        name = action_key if isinstance(action_key, str) else action_key[-1]
+        self.log_prob_key = log_prob_key or self._beside(f"{name}_log_prob")
+        self.in_keys = list(in_keys)  # pyright: ignore[reportAttributeAccessIssue]
+        written = [action_key, self.log_prob_key] if self.exact else [action_key]
         self.out_keys = written  # pyright: ignore[reportAttributeAccessIssue]
-        self.iteration = 0
-        self._generator = torch.Generator().manual_seed(seed)
+        self.register_buffer("iteration", torch.zeros((), dtype=torch.int64))
+        self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
+        self.schedules: dict[str, Schedule] = {}
+        self._reads_trial = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        return workers.pack(self.__dict__.copy())
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(workers.unpack(state))
+
+    def _beside(self, name: str) -> NestedKey:
+        """The entry with this name in the group of the action."""
+        return name if isinstance(self.action_key, str) else (*self.action_key[:-1], name)
+
+    def follow(
+        self,
+        name: str,
+        value: float | Sequence[float] | Schedule,
+        low: float,
+        high: float,
+        *,
+        low_open: bool = False,
+    ) -> None:
+        """Make a parameter follow a schedule: ``self.NAME`` is its value in the present iteration.
+
+        Args:
+            name: the name of the buffer: [], or [trials] if it differs between trials; float64.
+            value: a number, one number per trial, or a schedule.
+            low: the smallest value that is allowed.
+            high: the largest value that is allowed.
+            low_open: whether ``low`` itself is not allowed.
+
+        Raises:
+            ValueError: if the parameter leaves the bounds.
+        """
+        self.schedules[name] = as_schedule(name, value, low, high, low_open=low_open)
+        self._place(name)
+
+    def _place(self, name: str) -> None:
+        """Allocate the buffer of a parameter."""
+        value = torch.tensor(self._value(name), dtype=torch.float64, device=self.iteration.device)
+        self.register_buffer(name, value)
+        self._reads_trial |= value.ndim > 0
+
+    def _value(self, name: str) -> Value:
+        """The present value of a schedule."""
+        schedule = self.schedules[name]
+        clock = self.frames if schedule.clock == "frames" else self.iteration
+        if clock.ndim:
+            return np.array([schedule(time) for time in clock.tolist()])
+        return schedule(int(clock))
 
     def serve(self, spec: TensorSpec) -> None:
         """Check and store the environment's action spec; the collector calls this once.
@@ -82,20 +167,34 @@ class BaseStrategy(TensorDictModuleBase):
             )
 
     def bind(
-        self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
+        self,
+        policy: TensorDictModuleBase,
+        trials: int,
+        *,
+        seed: int | None = None,
+        first_trial: int = 0,
     ) -> None:
         """Connect the strategy to its target policy; the collector calls this once.
 
         Args:
             policy: the target policy.
             trials: the number of trials: the rows of the policy's parameters.
-            seed: seed of the job.
+            seed: seed of the job, given by a collector of this package, which also writes "noise";
+                None: random numbers come from torch's generator.
             first_trial: trial index of row 0.
 
         Raises:
             ValueError: if a per-trial parameter does not have one value for every trial.
         """
         self._per_trial(trials)
+        if seed is not None and self.noise_key is None:
+            self.noise_key = "noise"
+        self._reads_trial |= trials > 1
+        timed = [name for name, schedule in self.schedules.items() if schedule.clock == "frames"]
+        if trials > 1 and timed:  # episodes differ in length
+            self.frames = torch.zeros(trials, dtype=torch.int64, device=self.frames.device)
+            for name in timed:
+                self._place(name)
 
     def on_policy(self) -> bool | NDArray[np.bool_]:
         """Whether μ = π by construction in the current iteration; one value, or one per trial.
@@ -106,8 +205,7 @@ class BaseStrategy(TensorDictModuleBase):
 
     def is_target(self) -> bool:
         """Whether μ = π by construction for every trial in every iteration."""
-        schedules = [value for value in vars(self).values() if isinstance(value, Schedule)]
-        fixed = all(type(schedule) is Constant for schedule in schedules)
+        fixed = all(type(schedule) is Constant for schedule in self.schedules.values())
         return fixed and self.on_policy() is True
 
     def take(self, rows: slice, trials: int) -> None:
@@ -120,26 +218,22 @@ class BaseStrategy(TensorDictModuleBase):
         Raises:
             ValueError: if a per-trial parameter does not have one value for every trial.
         """
-        for name, schedule in self._per_trial(trials).items():
-            setattr(self, name, Rows(schedule, rows))
+        for name in self._per_trial(trials):
+            self.schedules[name] = Rows(self.schedules[name], rows)
+            self._place(name)
 
-    def _per_trial(self, trials: int) -> dict[str, Schedule]:
+    def _per_trial(self, trials: int) -> list[str]:
         """The parameters with one value per trial.
 
         Raises:
             ValueError: if one does not have one value for every trial.
         """
-        found: dict[str, Schedule] = {}
-        for name, schedule in vars(self).items():
-            if not isinstance(schedule, Schedule):
-                continue
-            value = schedule(self.iteration)
-            if isinstance(value, np.ndarray):
-                if len(value) != trials:
-                    raise ValueError(
-                        f"{name} has {len(value)} values, but there are {trials} trials"
-                    )
-                found[name] = schedule
+        found = [name for name in self.schedules if getattr(self, name).ndim]
+        for name in found:
+            if len(getattr(self, name)) != trials:
+                raise ValueError(
+                    f"{name} has {len(getattr(self, name))} values, but there are {trials} trials"
+                )
         return found
 
     def begin(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
@@ -150,35 +244,71 @@ class BaseStrategy(TensorDictModuleBase):
             episodes: [trials], the index of every trial's next episode, from 0.
         """
 
-    def step(self, data: TensorDictBase | None = None) -> None:
+    def step(self, frames: TensorDictBase | int | None = None) -> None:
         """Advance by one iteration; called once per update.
 
+        ``step(data)`` and ``step(n)`` also advance the number of frames. TorchRL's trainers call
+        ``step(n)``, which is an error if a schedule counts iterations, because n is not their
+        number.
+
         Args:
-            data: the frames of the iteration; needed if ``learns_from_data``.
+            frames: the frames of the iteration, needed if ``learns_from_data``, or their number.
+                None is one frame.
+
+        Raises:
+            ValueError: if more than one frame is given as a number, and a schedule counts
+                iterations.
         """
+        number = self._number(frames)
         self.iteration += 1
+        self.frames += number
+        for name, schedule in self.schedules.items():
+            if type(schedule) is not Constant:
+                buffer = getattr(self, name)
+                buffer.copy_(torch.as_tensor(self._value(name), dtype=torch.float64))
 
-    def get_extra_state(self) -> dict[str, Any]:
-        """The state for ``state_dict``: the iteration and the state of the module's generator."""
-        return {"iteration": self.iteration, "generator": self._generator.get_state()}
-
-    def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore the state from ``get_extra_state``."""
-        self.iteration = int(state["iteration"])
-        self._generator.set_state(state["generator"])
+    def _number(self, frames: TensorDictBase | int | None) -> int | Tensor:
+        """The number of frames; [trials] if trials are counted separately."""
+        if frames is None:
+            return 1
+        if isinstance(frames, TensorDictBase):
+            valid = padding_mask(frames)
+            if self.frames.ndim:
+                trial = frames.get(self.trial_key)[valid]
+                return torch.bincount(trial, minlength=len(self.frames)).to(self.frames.device)
+            return int(valid.sum())
+        number = check_integer("the number of frames", frames, 0)
+        for name, schedule in self.schedules.items():
+            if number > 1 and schedule.clock != "frames" and type(schedule) is not Constant:
+                raise ValueError(
+                    f"step({number}) is {number} frames, but the schedule of {name} counts "
+                    "iterations: give the schedule frames=..., or call step() once per update"
+                )
+        return number
 
     def _leaf(self, spec: TensorSpec) -> TensorSpec:
-        return spec[self.action_key] if isinstance(spec, Composite) else spec
+        if not isinstance(spec, Composite):
+            return spec
+        leaves = list(spec.keys(include_nested=True, leaves_only=True))
+        if self.action_key not in leaves:
+            raise ValueError(
+                f"the action spec has no entry {self.action_key!r}; action_key can be one of "
+                f"{', '.join(map(repr, leaves))}"
+            )
+        return spec[self.action_key]
 
-    def _noise(self, tensordict: TensorDictBase, like: Tensor) -> Tensor:
-        """The noise [*batch] or [*batch, noise_size] for frames shaped as ``like`` [*batch, n]."""
-        shape = like.shape[:-1]
-        if self.noise_size > 1:
-            shape = (*shape, self.noise_size)
-        noise = tensordict.get("noise", None)
-        if noise is None:
-            noise = torch.rand(shape, generator=self._generator, dtype=torch.float64)
-        return noise.to(like.device).reshape(shape)
+    def _noise(self, tensordict: TensorDictBase, batch: torch.Size, device: torch.device) -> Tensor:
+        """Uniform numbers in [0, 1) [*batch] or [*batch, noise_size], float64 if drawn here."""
+        shape = batch if self.noise_size == 1 else (*batch, self.noise_size)
+        if self.noise_key is not None:
+            noise = tensordict.get(self.noise_key, None)
+            if noise is not None:
+                return noise.to(device).reshape(shape)
+        return torch.rand(shape, dtype=torch.float64, device=device)
+
+    def _trial(self, tensordict: TensorDictBase) -> Tensor | None:
+        """The trial of each frame, if something differs between trials."""
+        return tensordict.get(self.trial_key, None) if self._reads_trial else None
 
 
 def read(tensordict: TensorDictBase, key: NestedKey) -> Tensor:
@@ -194,24 +324,45 @@ def read(tensordict: TensorDictBase, key: NestedKey) -> Tensor:
     return value
 
 
+def padding_mask(data: TensorDictBase) -> Tensor:
+    """Whether a frame is one of the data, not padding of TorchRL's ``split_trajs`` [*batch]."""
+    mask = data.get(("collector", "mask"), None)
+    if mask is None:
+        return torch.ones(data.batch_size, dtype=torch.bool, device=data.device)
+    return mask.reshape(data.batch_size)
+
+
 def exploring() -> bool:
     """Whether TorchRL's exploration type is RANDOM or unset."""
     return exploration_type() in (ExplorationType.RANDOM, None)
 
 
-def rows(
-    value: float | NDArray[np.float64] | Tensor, trial: Tensor | None, like: Tensor
-) -> float | Tensor:
+def rows(value: Value | Tensor, trial: Tensor | None, like: Tensor) -> float | Tensor:
     """A number as it is, or per-trial values as a column [*batch, 1] in the dtype of ``like``.
 
     Raises:
         ValueError: if the value is per trial and ``trial`` is None.
     """
-    if not isinstance(value, np.ndarray):
-        return value
+    if getattr(value, "ndim", 0) == 0:
+        return cast("float | Tensor", value)
     if trial is None:
         raise ValueError("missing key: 'trial' (a parameter has one value per trial)")
-    return torch.as_tensor(value, dtype=like.dtype, device=like.device)[trial].unsqueeze(-1)
+    column = torch.as_tensor(value, dtype=like.dtype, device=like.device)[trial]
+    return column.reshape(column.shape + (1,) * (like.ndim - column.ndim))
+
+
+def numbers(values: Iterable[Value | Tensor]) -> list[Value]:
+    """The same values as numbers and arrays instead of tensors."""
+    return [
+        value if not isinstance(value, Tensor)
+        else value.numpy(force=True) if value.ndim else value.item()
+        for value in values
+    ]  # fmt: skip
+
+
+def present(weight: Value | Tensor) -> bool:
+    """Whether a part of a mixture can have a weight: False only for the Python number 0."""
+    return not isinstance(weight, int | float) or weight != 0
 
 
 class Strategy(BaseStrategy):
@@ -226,34 +377,39 @@ class Strategy(BaseStrategy):
     DETERMINISTIC it takes the first action of largest logit, with log-probability 0.
 
     Reads "logits" [*batch, n_actions] and, if present, "action_mask" [*batch, n_actions] (bool
-    or 0 and 1; False: μ forbids the action), "noise" [*batch] (the u above) and "trial" [*batch].
+    or 0 and 1; False: μ forbids the action). A mask in the spec (``spec.update_mask``, TorchRL's
+    ``ActionMask``) is obeyed too.
     Writes "action" ([*batch] int64, or one-hot [*batch, n_actions] under a ``OneHot`` spec) and
-    "action_log_prob" [*batch] (nats, under μ).
+    "action_log_prob" [*batch] (nats, under μ; float32 for logits of lower precision).
+
+    Under ``MultiOneHot`` and ``MultiCategorical`` the logits of the heads are joined,
+    [*batch, Σ n_h]. Every head draws its own action, and the log-probabilities are added.
 
     The module works in any TorchRL project, after any module that writes logits or action values
     (``logits_key="action_value"``). A collector of this package also calls ``bind`` once, ``begin``
     before every episode and ``step`` after every update.
 
-    Attributes:
-        exact: whether "action_log_prob" is the exact log-probability of the action under μ. If
-            False, the strategy writes none.
-        differentiable: whether ``probs`` is differentiable in the logits, in every iteration.
-        noise_size: the number of uniform numbers per frame; if more than one, "noise" is
-            [*batch, noise_size].
-
     Args:
-        spec: the action spec (``Categorical`` or ``OneHot``, possibly in a ``Composite``); None:
-            actions are indices.
+        spec: the action spec (``Categorical``, ``OneHot``, ``MultiCategorical`` or ``MultiOneHot``,
+            possibly in a ``Composite``); None: actions are indices.
         logits_key: the entry with the preferences.
         action_key: the entry to write the action to.
-        action_mask_key: the entry with the mask.
-        seed: seed of the module's own generator, used if there is no "noise" entry.
+        action_mask_key: the entry with the mask; None: "action_mask" in the group of the action.
+        log_prob_key: the entry to write the log-probability to; None: beside the action, with the
+            suffix "_log_prob".
+        noise_key: the entry with uniform numbers in [0, 1) that decide the draw ([*batch], or
+            [*batch, heads]); None: there is none, except from a collector of this package.
+        trial_key: the entry with the trial of each frame [*batch]; read only if a parameter or the
+            state differs between trials.
+        validate_args: whether to check that every state has an allowed action with a finite logit.
+            In compiled code and on a GPU the check is ``torch._assert_async``.
 
     Raises:
-        ValueError: if the spec is of another kind, or a mask forbids every action of a state.
+        ValueError: if the spec is of another kind, or a state has no action to draw.
     """
 
     actions = "discrete"
+    _index: Tensor
 
     def __init__(
         self,
@@ -261,18 +417,29 @@ class Strategy(BaseStrategy):
         spec: TensorSpec | None = None,
         logits_key: NestedKey = "logits",
         action_key: NestedKey = "action",
-        action_mask_key: NestedKey = "action_mask",
-        seed: int = 0,
+        action_mask_key: NestedKey | None = None,
+        log_prob_key: NestedKey | None = None,
+        noise_key: NestedKey | None = None,
+        trial_key: NestedKey = "trial",
+        validate_args: bool = True,
     ) -> None:
-        super().__init__([logits_key], action_key=action_key, seed=seed)
-        spec = None if spec is None else self._leaf(spec)
-        if spec is not None and type(spec) not in (Categorical, OneHot):
-            raise ValueError(
-                f"the action spec must be Categorical or OneHot, got {type(spec).__name__}"
-            )
-        self.spec = spec
-        self._n_actions = None if spec is None else int(cast(Any, spec.space).n)
-        self.logits_key, self.action_mask_key = logits_key, action_mask_key
+        super().__init__(
+            [logits_key],
+            action_key=action_key,
+            log_prob_key=log_prob_key,
+            noise_key=noise_key,
+            trial_key=trial_key,
+        )
+        self.logits_key, self.validate_args = logits_key, validate_args
+        self.action_mask_key = action_mask_key or self._beside("action_mask")
+        self.spec = None if spec is None else self._leaf(spec)
+        self._heads = _heads(self.spec)
+        if len(self._heads) > 1:
+            width, total = max(self._heads), sum(self._heads)
+            index = torch.full((len(self._heads), width), total)
+            for head, part in zip(index, torch.arange(total).split(self._heads), strict=True):
+                head[: len(part)] = part
+            self.register_buffer("_index", index, persistent=False)
 
     @abstractmethod
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
@@ -286,40 +453,58 @@ class Strategy(BaseStrategy):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw "action" from μ and write "action_log_prob"."""
-        logits = read(tensordict, self.logits_key)
-        if self._n_actions not in (None, logits.shape[-1]):
-            raise ValueError(
-                f"{self.logits_key!r} has {logits.shape[-1]} entries per frame, "
-                f"but the action spec has {self._n_actions} actions"
-            )
-        mask = tensordict.get(self.action_mask_key, None)
-        if mask is not None:
-            logits = logits.masked_fill(~self._legal(mask, logits), -torch.inf)
+        logits = self._masked(tensordict, read(tensordict, self.logits_key))
+        n_actions = logits.shape[-1]
         if exploring():
-            action, log_prob = self.explore(tensordict, logits, self._noise(tensordict, logits))
+            batch = logits.shape[:-1]
+            if len(self._heads) > 1:
+                batch = torch.Size((*batch, len(self._heads)))
+            noise = self._noise(tensordict, batch, logits.device)
+            action, log_prob = self.explore(tensordict, logits, noise)
         else:
+            logits = self._split(logits)
             action = logits.argmax(-1)
-            log_prob = torch.zeros_like(logits[..., 0])
-        tensordict.set(self.action_key, self._encode(action, logits.shape[-1]))
-        if self.exact:
-            tensordict.set("action_log_prob", log_prob)
+            largest = logits.gather(-1, action.unsqueeze(-1)).squeeze(-1)
+            self._check(largest, -torch.inf, logits, tensordict)
+            log_prob = torch.zeros_like(largest)
+        tensordict.set(self.action_key, self._encode(action, n_actions))
+        if log_prob is not None and self.exact:
+            if len(self._heads) > 1:
+                log_prob = log_prob.sum(-1)
+            tensordict.set(self.log_prob_key, log_prob)
         return tensordict
 
-    def _legal(self, mask: Tensor, logits: Tensor) -> Tensor:
-        """The action mask [*batch, n_actions] as bool.
+    def _masked(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
+        """The logits in float32 or float64, −∞ where a mask forbids the action.
 
         Raises:
-            ValueError: if its shape is not that of the logits, or a state has no legal action.
+            ValueError: if the logits do not fit the spec, or a mask does not fit the logits.
         """
-        if mask.shape != logits.shape:
+        if self._heads and logits.shape[-1] != sum(self._heads):
             raise ValueError(
-                f"{self.action_mask_key!r} is {list(mask.shape)}, but the logits are "
-                f"{list(logits.shape)}"
+                f"{self.logits_key!r} has {logits.shape[-1]} entries per frame, "
+                f"but the action spec has {sum(self._heads)} actions"
             )
-        mask = mask.bool()  # environments also give int8 or uint8
-        if not mask.any(-1).all():
-            raise ValueError("the action mask forbids every action of a state")
-        return mask
+        if logits.dtype in (torch.float16, torch.bfloat16):  # too coarse for probabilities
+            logits = logits.float()
+        mask = tensordict.get(self.action_mask_key, None)
+        if mask is not None:
+            if mask.shape != logits.shape:
+                raise ValueError(
+                    f"{self.action_mask_key!r} is {list(mask.shape)}, but the logits are "
+                    f"{list(logits.shape)}"
+                )
+            logits = torch.where(mask.bool(), logits, -torch.inf)
+        mask = getattr(self.spec, "mask", None)
+        if mask is not None:
+            logits = torch.where(mask.to(logits.device).expand(logits.shape), logits, -torch.inf)
+        return logits
+
+    def _split(self, logits: Tensor) -> Tensor:
+        """The logits of the heads [*batch, heads, n], padded with −∞; of one head as they are."""
+        if len(self._heads) < 2:
+            return logits
+        return torch.nn.functional.pad(logits, (0, 1), value=-torch.inf)[..., self._index]
 
     def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
         """The input of ``probs``: by default, the logits of the target policy.
@@ -343,24 +528,82 @@ class Strategy(BaseStrategy):
         Returns:
             The action [*batch] and its log-probability [*batch], None if there is no exact one.
         """
-        logits = self.preferences(tensordict, logits)
-        probs = self.probs(logits, tensordict.get("trial", None))
-        action = inverse_cdf(probs, noise)
-        return action, probs.gather(-1, action.unsqueeze(-1)).squeeze(-1).log()
+        logits = self._split(self.preferences(tensordict, logits))
+        probs = self.probs(logits, self._trial(tensordict))
+        action = self._draw(probs, noise, logits, tensordict)
+        return action.squeeze(-1), probs.gather(-1, action).squeeze(-1).log()
+
+    def _draw(
+        self, probs: Tensor, noise: Tensor, logits: Tensor, tensordict: TensorDictBase
+    ) -> Tensor:
+        """The action [*batch, 1] by inverse CDF, checked."""
+        cdf = probs.cumsum(-1, dtype=torch.float64)
+        total = cdf[..., -1:]
+        self._check(total, 0.0, logits, tensordict)
+        return _search(cdf, total, noise.unsqueeze(-1))
+
+    def _check(self, found: Tensor, low: float, logits: Tensor, tensordict: TensorDictBase) -> None:
+        """Check that every state has an action to draw: ``found`` is above ``low``, not NaN.
+
+        Raises:
+            ValueError: if one has none, and not because the policy's output is NaN.
+        """
+        if not self.validate_args or not found.numel():
+            return
+        if torch.compiler.is_compiling() or not found.is_cpu:
+            message = "a state has no allowed action with a finite logit"
+            cast(Any, torch)._assert_async((found > low).all(), message)
+        elif not is_batchedtensor(found) and not found.min().item() > low:
+            bad = ~(found.reshape(logits.shape[:-1]) > low) & ~logits.isnan().any(-1)
+            mask = tensordict.get(self.action_mask_key, None)
+            if mask is not None and not mask.bool().any(-1).all():
+                raise ValueError("the action mask forbids every action of a state")
+            if bad.any():
+                raise ValueError(
+                    f"a state has no allowed action with a finite logit: in {self.logits_key!r} "
+                    "every action that the mask allows has -inf, or one has inf"
+                )
 
     def _encode(self, action: Tensor, n_actions: int) -> Tensor:
+        """The action in the form of the spec."""
         if self.spec is None:
             return action
         if isinstance(self.spec, OneHot):
-            action = torch.nn.functional.one_hot(action, n_actions)
+            if len(self._heads) > 1:
+                hot = action.unsqueeze(-1) == torch.arange(max(self._heads), device=action.device)
+                action = hot.flatten(-2)[..., self._index.flatten() < n_actions]
+            else:
+                action = action.unsqueeze(-1) == torch.arange(n_actions, device=action.device)
         return action.to(self.spec.dtype)
+
+
+def _heads(spec: TensorSpec | None) -> list[int]:
+    """The number of actions of each head of a spec; [] without a spec.
+
+    Raises:
+        ValueError: if the spec is of another kind.
+    """
+    if spec is None:
+        return []
+    if type(spec) in (Categorical, OneHot):
+        return [int(cast(Any, spec.space).n)]
+    if isinstance(spec, MultiOneHot):
+        return [int(box.n) for box in cast(Any, spec.space)]
+    if isinstance(spec, MultiCategorical):
+        sizes = spec.nvec.reshape(-1, spec.nvec.shape[-1])
+        if bool((sizes == sizes[0]).all()):
+            return sizes[0].tolist()
+    raise ValueError(
+        "the action spec must be Categorical, OneHot, MultiCategorical or MultiOneHot, "
+        f"got {type(spec).__name__}"
+    )
 
 
 def inverse_cdf(probs: Tensor, noise: Tensor) -> Tensor:
     """The action a = min{k : Σ_{j ≤ k} p_j > u · Σ_j p_j} [*batch] for u = ``noise`` [*batch].
 
-    Sums are in float64. Rounding never selects an action of probability 0: u is scaled by the
-    computed sum and kept below it.
+    Sums are in float64. Rounding never selects an action of probability 0: u is kept so far below 1
+    that u times the computed sum is below the sum.
 
     Args:
         probs: [*batch, n_actions], non-negative.
@@ -370,7 +613,11 @@ def inverse_cdf(probs: Tensor, noise: Tensor) -> Tensor:
         >>> inverse_cdf(torch.tensor([0.25, 0.0, 0.75]), torch.tensor(0.25))
         tensor(2)
     """
-    cdf = probs.double().cumsum(-1)
-    total = cdf[..., -1]
-    point = torch.minimum(noise * total, torch.nextafter(total, torch.zeros_like(total)))
-    return (cdf[..., :-1] <= point.unsqueeze(-1)).sum(-1)
+    cdf = probs.cumsum(-1, dtype=torch.float64)
+    return _search(cdf, cdf[..., -1:], noise.unsqueeze(-1)).squeeze(-1)
+
+
+def _search(cdf: Tensor, total: Tensor, noise: Tensor) -> Tensor:
+    """The first action whose cumulative sum is above the noise [*batch, 1]."""
+    point = noise.double().clamp(max=1 - 2**-52) * total
+    return (cdf <= point).sum(-1, keepdim=True)  # 0 where the sums are NaN

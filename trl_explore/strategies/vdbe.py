@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 
 from trl_explore.checks import check_number
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
+from trl_explore.strategies.strategy import read
 
 
 class VDBE(MixtureStrategy):
@@ -32,13 +32,14 @@ class VDBE(MixtureStrategy):
     is 0 and ε falls to 0.
 
     The scores are ("next", "episode_reward") where ("next", "done") is true, in the data given to
-    ``step``; without data ε does not change.
+    ``step`` (TorchRL's ``RewardSum`` writes them); without data ε does not change.
 
     Args:
         initial: ε in iteration 0, in [0, 1].
         sigma: σ > 0, the inverse sensitivity.
         delta: δ in [0, 1]; Tokic uses 1 / n_actions.
         step_size: α in (0, 1].
+        score_key: the entry of "next" with the scores.
         options: the arguments of ``Strategy``.
 
     Raises:
@@ -53,12 +54,18 @@ class VDBE(MixtureStrategy):
         '0.8808'
     """
 
+    epsilon: Tensor
+    """ε of each trial [trials]."""
+    value: Tensor
+    """V of each trial [trials]."""
+
     def __init__(
         self,
         initial: float = 1.0,
         sigma: float = 0.1,
         delta: float = 0.5,
         step_size: float = 0.1,
+        score_key: NestedKey = "episode_reward",
         **options: Any,
     ) -> None:
         super().__init__(**options)
@@ -66,46 +73,47 @@ class VDBE(MixtureStrategy):
         self.sigma = check_number("sigma", sigma, 0, low_open=True)
         self.delta = check_number("delta", delta, 0, 1)
         self.step_size = check_number("step_size", step_size, 0, 1, low_open=True)
-        self.epsilon: NDArray[np.float64] = np.array([self.initial])
-        """ε of each trial [trials]."""
-        self.value: NDArray[np.float64] = np.zeros(1)
-        """V of each trial [trials]."""
+        self.score_key = score_key
+        self._reset(1)
 
     def bind(
-        self, policy: TensorDictModuleBase, trials: int, *, seed: int = 0, first_trial: int = 0
+        self,
+        policy: TensorDictModuleBase,
+        trials: int,
+        *,
+        seed: int | None = None,
+        first_trial: int = 0,
     ) -> None:
         """Reset ε and V of every trial."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        self.epsilon, self.value = np.full(trials, self.initial), np.zeros(trials)
+        self._reset(trials)
+
+    def _reset(self, trials: int) -> None:
+        place: Any = {"dtype": torch.float64, "device": self.iteration.device}
+        self.register_buffer("epsilon", torch.full((trials,), self.initial, **place))
+        self.register_buffer("value", torch.zeros(trials, **place))
 
     def mixture(self) -> Mixture:
         """ε-greedy, with one ε per trial."""
-        epsilon = self.epsilon if len(self.epsilon) > 1 else float(self.epsilon[0])
+        epsilon = self.epsilon if len(self.epsilon) > 1 else self.epsilon[0]
         return Mixture(greedy=1 - epsilon, uniform=epsilon)
 
-    def step(self, data: TensorDictBase | None = None) -> None:
+    def step(self, frames: TensorDictBase | int | None = None) -> None:
         """Update V and ε from the scores of the iteration.
 
         Raises:
             KeyError: if the data have no scores.
         """
-        super().step(data)
-        if data is None:
+        super().step(frames)
+        if not isinstance(frames, TensorDictBase):
             return
-        after = data.get("next")
-        if "episode_reward" not in after:
-            raise KeyError(
-                "missing key: ('next', 'episode_reward'), the scores that VDBE learns from"
-            )
+        after = frames.get("next")
         done = after.get("done").reshape(-1)
-        scores = after.get("episode_reward").reshape(-1)[done].tolist()
-        trial = data.get("trial", None)
+        scores = read(after, self.score_key).reshape(-1)[done].tolist()
+        trial = self._trial(frames)
+        trials = [0] * len(scores) if trial is None else trial.reshape(-1)[done].tolist()
         own: dict[int, list[float]] = {}
-        for k, score in zip(
-            [0] * len(scores) if trial is None else trial.reshape(-1)[done].tolist(),
-            scores,
-            strict=True,
-        ):
+        for k, score in zip(trials, scores, strict=True):
             own.setdefault(k, []).append(score)
         for k, of_trial in own.items():
             self._learn(k, sum(of_trial) / len(of_trial))
@@ -117,14 +125,4 @@ class VDBE(MixtureStrategy):
         change = abs(new - old) / largest if largest > 0 else 0.0
         aim = math.tanh(change / (2 * self.sigma))
         self.value[k] = new
-        self.epsilon[k] = self.delta * aim + (1 - self.delta) * self.epsilon[k]
-
-    def get_extra_state(self) -> dict[str, Any]:
-        """The state for ``state_dict``, including ε and V of every trial."""
-        learnt = {"epsilon": torch.tensor(self.epsilon), "value": torch.tensor(self.value)}
-        return {**super().get_extra_state(), **learnt}
-
-    def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore the state from ``get_extra_state``."""
-        super().set_extra_state(state)
-        self.epsilon, self.value = state["epsilon"].numpy().copy(), state["value"].numpy().copy()
+        self.epsilon[k] = self.delta * aim + (1 - self.delta) * float(self.epsilon[k])

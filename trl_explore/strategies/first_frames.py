@@ -1,0 +1,70 @@
+"""Where episodes begin, in the data of collectors that do not say so to the strategy."""
+
+from __future__ import annotations
+
+import warnings
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+
+
+class FirstFrames:
+    """Finds the lanes of a batch whose frame is the first of an episode.
+
+    A frame is the first if its "is_init" is true (TorchRL's ``InitTracker``), its "step_count" is 0
+    (``StepCounter``), or its ("collector", "traj_ids"), which TorchRL's collectors write, is not
+    that of the lane's frame before. If there is none of these, nobody can see where an episode
+    begins; a warning says so once.
+
+    Args:
+        name: the name of the strategy, for the warning.
+        is_init_key: the entry that marks the first frame of an episode.
+
+    Attributes:
+        begun: whether a collector calls the strategy's ``begin``; no entry is then needed.
+    """
+
+    def __init__(self, name: str, is_init_key: NestedKey) -> None:
+        self.name, self.is_init_key = name, is_init_key
+        self.begun = False
+        self._ids = torch.zeros(0, dtype=torch.int64)
+
+    def __call__(self, tensordict: TensorDictBase, batch: torch.Size) -> Tensor:
+        """Whether a frame is the first of its episode.
+
+        Args:
+            tensordict: the frames.
+            batch: the shape of the answer; beyond that of the data it may have agents or heads.
+
+        Returns:
+            [*batch] bool.
+        """
+        is_init = tensordict.get(self.is_init_key, None)
+        step_count = tensordict.get("step_count", None)
+        ids = tensordict.get(("collector", "traj_ids"), None)
+        marks: list[Tensor] = []
+        if is_init is not None:
+            marks.append(is_init.bool())
+        if step_count is not None:
+            marks.append(step_count == 0)
+        if ids is not None:
+            if self._ids.shape != ids.shape or self._ids.device != ids.device:
+                self._ids = torch.full_like(ids, -1)
+            marks.append(ids != self._ids)
+            self._ids = ids.clone()
+        if not marks:
+            if not self.begun and not torch.compiler.is_compiling():
+                warnings.warn(
+                    f"{self.name} cannot see where an episode begins: append TorchRL's InitTracker "
+                    f"to the environment ({self.is_init_key!r} is missing)",
+                    stacklevel=2,
+                )
+                self.begun = True
+            return torch.zeros(batch, dtype=torch.bool, device=tensordict.device)
+        found = torch.zeros(batch, dtype=torch.bool, device=marks[0].device)
+        for mark in marks:
+            if mark.ndim > tensordict.batch_dims and mark.shape[-1] == 1:
+                mark = mark.squeeze(-1)
+            found = found | mark.reshape(mark.shape + (1,) * (len(batch) - mark.ndim))
+        return found
