@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trl_explore.names import experiment
+from trl_explore.report import sizes
 from trl_explore.report.curves import Traces, read_traces
 from trl_explore.report.groups import Group, group_jobs
 from trl_explore.report.loading import Gap, Loaded
@@ -161,6 +162,8 @@ def _group_evidence(
 
 def _planned(group: Group) -> list[tuple[Outcomes, Outcomes]] | None:
     """The planned pairs of a group with a layout; None: all pairs."""
+    if group.sized:
+        return sizes.pairs(group.configurations)
     layout = group.crossed or group.plane
     if layout is None:
         return None
@@ -196,6 +199,8 @@ def _cut_short(group: Group) -> tuple[str, ...]:
 
 
 def _sentences(group: Group, comparisons: Sequence[Comparison]) -> tuple[str, ...]:
+    if group.sized:
+        return (sizes.sentence(group.configurations),)
     if group.plane is not None:
         return plane_sentences(group.configurations, comparisons, group.labels)
     if group.crossed is not None and comparisons:

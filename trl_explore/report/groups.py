@@ -36,6 +36,8 @@ from trl_explore.statistics.pairing import configuration_key, deduplicate, pool,
 
 THESIS: Mapping[str, float] = {"epsilon": 0.0, "temperature": 1.0}
 """The thesis's softmax as a point of the mixtures of softmax and random actions."""
+SIZE = "env.kwargs.size"
+"""The key of the size of a task."""
 PLANE_FROM = 3
 """Fewest values of each parameter of a plane."""
 
@@ -114,6 +116,7 @@ class Group:
         parameter: label of the only parameter in which the configurations differ, or None.
         crossed: layout of rows crossed with options, or None.
         plane: layout of two parameters, or None.
+        sized: whether the configurations differ in the size of the task.
 
     """
 
@@ -131,6 +134,7 @@ class Group:
     parameter: str | None
     crossed: Crossed | None = None
     plane: Plane | None = None
+    sized: bool = False
 
     @property
     def is_grid(self) -> bool:
@@ -272,6 +276,7 @@ def _group(name: str, jobs: list[Job]) -> Group:
         parameter=swept_parameter(ordered),
         crossed=layout,
         plane=plane(ordered),
+        sized=any(SIZE in words for words in label_parts(ordered).values()),
     )
 
 

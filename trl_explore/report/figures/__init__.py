@@ -12,6 +12,7 @@ from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import (
     effects,
     epsilon_decay,
+    first_reward,
     forest,
     learning,
     plane,
@@ -27,6 +28,7 @@ from trl_explore.report.style import visual_language
 KINDS: tuple[Kind, ...] = (
     plane.PASS,
     plane.ITERATIONS,
+    first_reward.FIRST_REWARD,
     effects.EFFECTS,
     survival.PANELS,
     survival.SURVIVAL,
