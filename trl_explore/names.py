@@ -131,6 +131,7 @@ EXPERIMENTS: Mapping[str, ExperimentName] = {
     "baselines_batch": ExperimentName("Baselines, with four episodes per update"),
     "deep_policy": ExperimentName("Linear and deeper policies"),
     "frozenlake": ExperimentName("FrozenLake"),
+    "deep_sea": ExperimentName("Episodes to the first reward"),
 }
 """In report order; an experiment without an entry is placed where ``debug`` is."""
 

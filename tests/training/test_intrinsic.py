@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -52,7 +53,7 @@ def test_each_trial_counts_with_a_hash_of_its_own():
     def rewards(trials, first_trial, rows):
         intrinsic = CountReward(1.0, trials, 2, seed=3, first_trial=first_trial)
         n = len(observation)
-        data = TensorDict({
+        data: Any = TensorDict({
             "observation": observation, "action": torch.zeros(n).long(),
             "trial": torch.arange(n) % trials, "next": {"reward": torch.zeros(n, 1)},
         }, [n])  # fmt: skip

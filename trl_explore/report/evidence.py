@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 from trl_explore.names import experiment
+from trl_explore.report import sizes
 from trl_explore.report.cells import runs_of
 from trl_explore.report.curves import Traces, read_traces
 from trl_explore.report.decomposition import Decomposition, decompose
@@ -172,6 +173,8 @@ def _scores_said(
 
 def _pairs(group: Group) -> list[tuple[Outcomes, Outcomes]]:
     """The planned pairs of a group with a layout; without one, all pairs."""
+    if group.sized:
+        return list(sizes.pairs(group.configurations))
     layout = group.crossed or group.plane
     if layout is None:
         return list(combinations(group.configurations, 2))
@@ -207,6 +210,8 @@ def _cut_short(group: Group) -> tuple[str, ...]:
 
 
 def _sentences(group: Group, comparisons: Sequence[Comparison]) -> tuple[str, ...]:
+    if group.sized:
+        return (sizes.sentence(group.configurations),)
     if group.plane is not None:
         return plane_sentences(group.configurations, comparisons, group.labels)
     if group.crossed is not None and comparisons:

@@ -36,6 +36,8 @@ from trl_explore.statistics.pairing import configuration_key, deduplicate, pool,
 
 THESIS: Mapping[str, float] = {"epsilon": 0.0, "temperature": 1.0}
 """The thesis's softmax as a point of the mixtures of softmax and random actions."""
+SIZE = "env.kwargs.size"
+"""The key of the size of a task."""
 PLANE_FROM = 3
 """Fewest values of each parameter of a plane."""
 
@@ -116,6 +118,7 @@ class Group:
         parameter: label of the only parameter in which the configurations differ, or None.
         crossed: layout of rows crossed with options, or None.
         plane: layout of two parameters, or None.
+        sized: whether the configurations differ in the size of the task.
 
     """
 
@@ -134,6 +137,7 @@ class Group:
     crossed: Crossed | None = None
     plane: Plane | None = None
     learned: Sequence[Outcomes] = ()
+    sized: bool = False
 
     @property
     def is_grid(self) -> bool:
@@ -278,6 +282,7 @@ def _group(name: str, jobs: list[Job]) -> Group:
         crossed=layout,
         plane=plane(ordered),
         learned=learned,
+        sized=any(SIZE in words for words in label_parts(ordered).values()),
     )
 
 

@@ -14,6 +14,7 @@ from trl_explore.report.figures import (
     acting,
     effects,
     epsilon_decay,
+    first_reward,
     forest,
     learning,
     plane,
@@ -29,6 +30,7 @@ from trl_explore.report.style import visual_language
 KINDS: tuple[Kind, ...] = (
     plane.PASS,
     plane.ITERATIONS,
+    first_reward.FIRST_REWARD,
     effects.EFFECTS,
     survival.PANELS,
     survival.SURVIVAL,

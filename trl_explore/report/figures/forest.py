@@ -117,7 +117,7 @@ def _caption(e: GroupEvidence) -> str:
 FOREST = Kind(
     "forest",
     "Every pair compared",
-    lambda e: len(e.comparisons) > 0 and e.group.plane is None,
+    lambda e: len(e.comparisons) > 0 and e.group.plane is None and not e.group.sized,
     _draw,
     _caption,
 )

@@ -60,8 +60,8 @@ def plane(e: GroupEvidence) -> bool:
 
 
 def plain(e: GroupEvidence) -> bool:
-    """Whether the configurations have neither layout, crossed or plane."""
-    return not crossed(e) and not plane(e)
+    """Whether the configurations have no layout: not crossed, no plane, not by size."""
+    return not crossed(e) and not plane(e) and not e.group.sized
 
 
 def whole_study(e: GroupEvidence) -> bool:
