@@ -80,6 +80,13 @@ class Parts:
     p_data: float | None
 
     @property
+    def separable(self) -> bool:
+        """Whether both ways to measure the bias agree: then bias and data simply add up."""
+        if self.assumed is None or self.corrected is None or np.isnan(self.bias.value):
+            return True
+        return not self.assumed.outside(self.corrected.low, self.corrected.high)
+
+    @property
     def told_apart(self) -> bool:
         """Whether interval and test show an effect of the data."""
         if self.data is None or self.p_data is None:

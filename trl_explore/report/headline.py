@@ -45,16 +45,23 @@ def _bias(found: Sequence[Decomposition]) -> str:
         p = _time(d)
         if p is None:
             continue
+        more = "more" if p.gap.value > 0 else "less"
+        needs = (
+            f"the {figure(abs(p.gap.value))} iterations that {d.strategy} needs {more} than softmax"
+            f" ({figure(p.plain)} against {figure(p.reference)})"
+        )
         if np.isnan(p.bias.value):
             said.append(
                 f"nothing clear of {d.strategy}, which hardly differs from softmax"
                 f" ({interval(p.gap)} iterations)"
             )
+        elif p.separable:
+            said.append(f"{percent(p.bias)} of {needs}")
         else:
             said.append(
-                f"{percent(p.bias)} of the {figure(abs(p.gap.value))} iterations that {d.strategy}"
-                f" needs {'more' if p.gap.value > 0 else 'less'} than softmax"
-                f" ({figure(p.plain)} against {figure(p.reference)})"
+                f"{percent(p.assumed)} of {needs} if the bias is added to softmax, but"
+                f" {percent(p.corrected)} if it is removed from {d.strategy}, so that bias and data"
+                " do not separate"
             )
     if not said:
         return ""
@@ -83,7 +90,7 @@ def _data(found: Sequence[Decomposition]) -> str:
     if not said:
         return ""
     return (
-        "Data: what is left when every gradient is corrected is the effect of exploration proper."
+        "Data: what is left with corrected gradients is the effect of exploration proper."
         f" To learn, {'; '.join(said)}."
     )
 
