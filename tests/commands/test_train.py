@@ -16,7 +16,12 @@ import pandas as pd
 import pytest
 from safetensors.numpy import load_file
 
-from trl_explore.jobs.columns import EPISODE_COLUMNS, TRIAL_COLUMNS
+from trl_explore.jobs.columns import (
+    EPISODE_COLUMNS,
+    LEARN_COLUMNS,
+    PASS_COLUMNS,
+    TRIAL_COLUMNS,
+)
 from trl_explore.jobs.reading import read_frame, read_jobs
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "train.py"
@@ -124,7 +129,7 @@ def test_the_files_of_a_job_agree_with_each_other(folder, strategy):
     job = job_of(folder, strategy)
     trials = pd.read_csv(job / "trials.csv")
     episodes = pd.read_csv(job / "episodes.csv")
-    assert tuple(trials) == tuple(TRIAL_COLUMNS)
+    assert tuple(trials) == (*TRIAL_COLUMNS, *PASS_COLUMNS, *LEARN_COLUMNS)
     assert tuple(episodes) == tuple(EPISODE_COLUMNS)
     assert trials["trial"].tolist() == [0, 1, 2]
     assert (trials["seed"] == 0).all()

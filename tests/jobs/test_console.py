@@ -110,20 +110,29 @@ def outcome(name: str, iterations: list[int], status: list[str], **changes) -> O
 
 def test_the_table_of_a_sweep():
     jobs = [
-        outcome("softmax", [140, 100, 120], ["converged"] * 3),
+        outcome(
+            "softmax",
+            [140, 100, 120],
+            ["converged"] * 3,
+            learned=np.array([True, False, True]),
+            iterations_to_learn=np.array([30, 100, 45]),
+            frames_to_learn=np.array([300, 1000, 450]),
+            learned_score=np.array([500.0, 9, 391]),
+        ),
         outcome("argmax", [1000, 900, 1000], ["capped", "converged", "capped"]),
         outcome("broken", [7, 500, 600, 3], ["diverged", "converged", "converged", "diverged"]),
     ]
     text = table(iter(jobs))
     header, rule, *rows = text.splitlines()
     assert header.split() == [
-        "job", "trials", "converged", "median", "iterations", "mean", "score", "frames", "seconds",
+        "job", "trials", "passed", "after", "learned", "after", "mean", "score", "learned", "score",
+        "frames", "seconds",
     ]  # fmt: skip
     assert set(rule) == {"-"}
-    assert [row.split() for row in rows] == [
-        ["softmax", "3", "3", "(100%)", "120", "150.0", "37,035", "7.2"],
-        ["argmax", "3", "1", "(33%)", ">", "1000", "150.0", "37,035", "7.2"],
-        ["broken", "4", "2", "(50%),", "2", "diverged", "600", "150.0", "49,380", "7.2"],
+    assert [" ".join(row.split()) for row in rows] == [
+        "softmax 3 3 (100%) 120 2 (67%) 45 150.0 300.0 37,035 7.2",
+        "argmax 3 1 (33%) > 1000 – – 150.0 – 37,035 7.2",
+        "broken 4 2 (50%), 2 diverged 600 – – 150.0 – 49,380 7.2",
     ]
     ends = [len(row) for row in rows]
     assert len(set(ends)) == 1  # columns stand under each other
@@ -131,7 +140,7 @@ def test_the_table_of_a_sweep():
 
 def test_a_job_of_which_nothing_converged():
     (row,) = table([outcome("random", [1000] * 4, ["capped"] * 4)]).splitlines()[2:]
-    assert row.split()[2:6] == ["0", "(0%)", ">", "1000"]
+    assert row.split()[2:8] == ["0", "(0%)", ">", "1000", "–", "–"]
 
 
 def test_a_cap_before_the_first_full_window_is_told():
@@ -139,7 +148,7 @@ def test_a_cap_before_the_first_full_window_is_told():
         outcome("softmax", [50] * 2, ["capped"] * 2, cap=50),
         outcome("random", [100] * 2, ["capped"] * 2, cap=100),
         outcome("four", [25] * 2, ["capped"] * 2, cap=25, config={"episodes_per_update": 4}),
-        outcome("greedy", [9] * 2, ["capped"] * 2, cap=9, config={"stop_on": "evaluation"}),
+        outcome("greedy", [9] * 2, ["capped"] * 2, cap=9, config={"stop_on": "learned"}),
     ]
     (line,) = warnings(jobs[:1])
     assert re.search("max_iterations=50.*score_window=100", line)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from trl_explore.jobs.columns import ResultsError
-from trl_explore.jobs.reading import read_episodes
+from trl_explore.jobs.reading import read_episodes, read_job
 from trl_explore.jobs.records import read_diagnostics, read_evaluations
 from trl_explore.training.columns import DIAGNOSTIC_COLUMNS
 from trl_explore.training.diagnostics import COLUMNS
@@ -52,8 +52,33 @@ def test_evaluations_are_those_of_the_configuration(recorded):
     columns = read_evaluations(recorded)
     assert columns is not None
     pairs = sorted(zip(columns["trial"].tolist(), columns["iteration"].tolist(), strict=True))
-    assert pairs == [(t, i) for t in range(3) for i in (3, 3, 6, 6)]
+    assert pairs == [(t, i) for t in range(3) for i in (0, 0, 3, 3, 6, 6, 7, 7)]
     assert np.isfinite(columns["score"]).all()
+    final = read_evaluations(recorded, "final")
+    assert final is not None
+    assert (final["iteration"] == 7).all()
+    assert final["trial"].tolist() == [0] * 20 + [1] * 20 + [2] * 20
+    outcomes = read_job(recorded)
+    assert outcomes.learned_score is not None
+    means = final["score"].reshape(3, 20).mean(1)
+    np.testing.assert_allclose(outcomes.learned_score, means)
+    confirmation = read_evaluations(recorded, "confirmation")
+    assert confirmation is not None
+    assert len(confirmation["trial"]) == 0
+
+
+def test_evaluations_of_older_versions_are_read(job):
+    """They had one purpose, and none at iteration 0 or at the cap."""
+    lines = ["trial,iteration,score"]
+    lines += [f"{t},{i},{10 * i + k}" for i in (3, 6) for t in range(3) for k in range(2)]
+    edit(job / "evaluations.csv", lambda _: lines)
+    columns = read_evaluations(job)
+    assert columns is not None
+    assert len(columns["trial"]) == 12
+    assert columns["score"].max() == 61
+    edit(job / "evaluations.csv", lambda _: lines[:-1])
+    with pytest.raises(ResultsError, match=r"evaluations\.csv.*trials\.csv"):
+        read_evaluations(job)
 
 
 def test_what_was_not_recorded_is_none(job):
@@ -109,11 +134,13 @@ def test_no_value_is_allowed(job):
     ("change", "complaint"),
     [
         (lambda lines: lines[:-1], r"evaluations\.csv.*trials\.csv"),
-        (lambda lines: [*lines, "9,3,1.0"], r"evaluations\.csv.*trials\.csv"),
-        (lambda lines: [lines[0], "0,3,nan", *lines[2:]], r"evaluations\.csv.*finite"),
-        (lambda lines: ["trial,iteration", *lines[1:]], r"evaluations\.csv.*3.*2"),
+        (lambda lines: [*lines, "9,3,1.0,scheduled"], r"evaluations\.csv.*trials\.csv"),
+        (lambda lines: [*lines, "1,8,1.0,confirmation"], r"evaluations\.csv.*trials\.csv"),
+        (lambda lines: [*lines, "1,3,1.0,pleasure"], r"evaluations\.csv.*purpose.*'pleasure'"),
+        (lambda lines: [lines[0], "0,3,nan,scheduled", *lines[2:]], r"evaluations\.csv.*finite"),
+        (lambda lines: ["trial,iteration", *lines[1:]], r"evaluations\.csv.*4.*2"),
     ],
-    ids=["short", "foreign", "nan", "column"],
+    ids=["short", "foreign", "late", "purpose", "nan", "column"],
 )
 def test_damaged_evaluations_are_refused(job, change, complaint):
     edit(job / "evaluations.csv", change)

@@ -29,10 +29,10 @@ CONFIG = {
 WEIGHTS = {"weight": torch.arange(24.0).reshape(3, 2, 4).transpose(1, 2)}  # not contiguous
 
 TRIALS_CSV = """\
-trial,seed,iterations,converged,score,frames,seconds,status
-10,5,3,False,2.5,33,1.500000,diverged
-11,5,2,True,5.6,41,1.000000,converged
-12,5,4,False,4.0,126,2.000000,capped
+trial,seed,iterations,converged,score,frames,seconds,status,passed,iterations_to_pass,frames_to_pass
+10,5,3,False,2.5,33,1.500000,diverged,False,3,33
+11,5,2,True,5.6,41,1.000000,converged,True,2,41
+12,5,4,False,4.0,126,2.000000,capped,False,4,126
 """
 EPISODES_CSV = """\
 trial,iteration,score,frames
@@ -381,7 +381,7 @@ def test_a_sweep_in_one_frame(tmp_path):
     assert len(frame) == 6
     assert set(frame) == {
         "experiment", "job", "strategy", "strategy.epsilon", "strategy.temperature",
-        *results.TRIAL_COLUMNS,
+        *results.TRIAL_COLUMNS, *columns.PASS_COLUMNS,
     }  # fmt: skip
     assert frame["strategy"].tolist() == ["epsilon_greedy"] * 3 + ["softmax"] * 3
     assert frame["strategy.epsilon"].tolist()[:3] == [0.1] * 3
@@ -440,3 +440,51 @@ def test_an_incomplete_record_is_one_line(job, key):
     (job / "run.json").write_text(json.dumps(run))
     with pytest.raises(results.ResultsError, match=key):
         results.read_job(job)
+
+
+OLD = "\n".join(",".join(line.split(",")[:8]) for line in TRIALS_CSV.splitlines()) + "\n"
+
+
+def test_files_without_the_columns_of_the_measures_are_read(job):
+    """Files of an older version: a trial stopped when it passed."""
+    (job / "trials.csv").write_text(OLD)
+    outcomes = results.read_job(job)
+    assert outcomes.passed is outcomes.converged
+    assert outcomes.iterations_to_pass is outcomes.iterations
+    assert outcomes.learned is None
+
+
+LEARNED = {
+    "learned": np.array([False, True, True]),
+    "iterations_to_learn": np.array([3, 2, 0]),
+    "frames_to_learn": np.array([33, 41, 0]),
+    "learned_score": np.array([9.0, 500.0, 7.25]),
+}
+
+
+def test_what_was_learned_is_written_and_read_back(tmp_path):
+    job = write(tmp_path / "job", learned=LEARNED)
+    lines = (job / "trials.csv").read_text().splitlines()
+    assert lines[0].endswith(",learned,iterations_to_learn,frames_to_learn,learned_score")
+    assert lines[3].endswith(",capped,False,4,126,True,0,0,7.25")
+    outcomes = results.read_job(job)
+    for name, column in LEARNED.items():
+        np.testing.assert_array_equal(getattr(outcomes, name), column)
+    assert (outcomes.passed == [False, True, False]).all()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        (",True,2,41", ",True,3,41", "iterations_to_pass contradicts passed or iterations"),
+        (",False,3,33", ",False,2,33", "iterations_to_pass contradicts"),
+        (",True,2,41", ",True,2,42", "frames_to_pass contradicts passed or frames"),
+        (",True,2,41", ",maybe,2,41", "column passed holds 'maybe'"),
+        (",iterations_to_pass", ",other", "missing column: iterations_to_pass"),
+    ],
+)
+def test_measures_that_contradict_the_trials_are_refused(job, old, new, complaint):
+    path = job / "trials.csv"
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(ResultsError, match=complaint):
+        results.read_trials(job)

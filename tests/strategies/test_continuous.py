@@ -34,7 +34,7 @@ from trl_explore.strategies import (
     UniformAction,
 )
 from trl_explore.strategies.schedules import Exponential
-from trl_explore.training.evaluation import exploiting
+from trl_explore.training.evaluation import acting
 
 FILES = {
     name: OmegaConf.load(CONF / "strategy" / f"{name}.yaml")
@@ -352,7 +352,7 @@ def test_keys_can_be_renamed():
 def test_who_exploits_reads_and_writes_the_same_entries(name):
     strategy = build(name, loc_key="mean", scale_key="deviation", action_key="torque")
     data = TensorDict({"mean": LOC, "deviation": SCALE})
-    assert torch.equal(exploiting(strategy)(data)["torque"], LOC)
+    assert torch.equal(acting(strategy, "greedy")(data)["torque"], LOC)
 
 
 # State and parameters

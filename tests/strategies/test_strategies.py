@@ -21,7 +21,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from trl_explore.config import CONF
 from trl_explore.config.kinds import options
 from trl_explore.strategies import ParameterNoise, Strategy
-from trl_explore.training.evaluation import exploiting
+from trl_explore.training.evaluation import acting
 
 FILES = {
     name: OmegaConf.load(CONF / "strategy" / f"{name}.yaml")
@@ -207,7 +207,7 @@ def test_exploration_off_takes_the_argmax(name, mode):
 
 def test_who_exploits_reads_and_writes_the_same_entries(name):
     keys = {"logits_key": "value", "action_key": "move", "action_mask_key": "legal"}
-    greedy = exploiting(build(name, spec=OneHot(4), **keys))
+    greedy = acting(build(name, spec=OneHot(4), **keys), "greedy")
     legal = torch.tensor([[False, True, True, True]])
     data = TensorDict({"value": torch.tensor([[5.0, 0, 3, 1]]), "legal": legal}, [1])
     assert greedy(data)["move"].tolist() == [[False, False, True, False]]

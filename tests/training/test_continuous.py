@@ -37,7 +37,7 @@ from trl_explore.strategies import (
     Softmax,
     UniformAction,
 )
-from trl_explore.training.evaluation import exploiting
+from trl_explore.training.evaluation import acting
 from trl_explore.training.optimizers import LaneAdam
 from trl_explore.training.record import Trials
 from trl_explore.training.trainer import Trainer
@@ -151,7 +151,7 @@ def test_exploration_off_is_the_mean_action():
     a, b = mean.collect().frames, quiet.collect().frames
     assert torch.equal(a["action"], b["action"])
     assert torch.equal(a["next", "reward"], b["next", "reward"])
-    greedy = collector_of(exploiting(EpsilonMean())).collect().frames
+    greedy = collector_of(acting(EpsilonMean(), "greedy")).collect().frames
     assert torch.equal(greedy["action"], a["action"])
 
 

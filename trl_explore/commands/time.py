@@ -125,11 +125,13 @@ def time_trial(job: Job, trial: int) -> tuple[float, int]:
     """
     config = job.config.copy()
     config.update(trials=1, first_trial=trial, threads=1)
+    if config.stop_on in ("training", "never"):
+        config.evaluate_every = 0  # only training is timed
     trainer = configuration.build_trainer(config)
     try:
         started = time.perf_counter()
         trials = trainer.run()
-        seconds = time.perf_counter() - started
+        seconds = time.perf_counter() - started - trainer.evaluating
     finally:
         trainer.collector.shutdown()
     frames = int(trials.frames[0])

@@ -174,6 +174,7 @@ def train_from(
                     seconds=shards.seconds,
                     episodes=config.episodes,
                     evaluations=shards.evaluations(),
+                    learned=shards.learned(),
                     diagnostics=shards.diagnostics(),
                 )
     except BaseException:

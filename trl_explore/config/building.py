@@ -31,13 +31,14 @@ INTEGERS = {
     "first_trial": (0, LARGEST - 10**7),
     "threads": (1, MAX_THREADS),
     "episodes_per_update": (1, 10**6),
-    "evaluate_every": (0, 10**9),
     "evaluate_episodes": (1, 10**6),
+    "evaluate_confirm": (20, 10**6),
 }
 """The top-level keys that hold an integer, and their bounds."""
-STOP_ON = ("training", "evaluation")
-STOPPING = ("max_iterations", "score_threshold", "score_window")
-"""The keys of an environment's file that belong to the stopping rule; the trainer uses them."""
+POLICIES = ("greedy", "sampled")
+"""How evaluations play π."""
+STOPPING = ("max_iterations", "score_threshold", "score_window", "evaluate_confirm")
+"""The keys of an environment's file that belong to the rules; the trainer uses them."""
 
 
 def fill_threshold(config: DictConfig) -> None:
@@ -104,6 +105,17 @@ def _check(config: DictConfig) -> None:
     for key, (low, high) in INTEGERS.items():
         _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))
     _build(None, lambda: check_number("checkpoint_seconds", config.checkpoint_seconds, 0))
+    if config.evaluate_every != "auto":
+        every = config.evaluate_every
+        if isinstance(every, str):
+            raise ConfigError(f"evaluate_every must be auto or an integer >= 0, got {every!r}")
+        _build(None, lambda: check_integer("evaluate_every", every, 0, 10**9))
+    if config.evaluate_policy not in POLICIES:
+        raise ConfigError(
+            f"evaluate_policy must be one of {', '.join(POLICIES)}, got {config.evaluate_policy!r}"
+        )
+    if config.stop_on == "evaluation":
+        raise ConfigError("stop_on=evaluation is now stop_on=learned")
 
 
 def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) -> Trainer:
@@ -126,6 +138,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
             max_iterations=config.max_iterations,
             score_threshold=config.score_threshold,
             score_window=config.score_window,
+            stop_on=config.stop_on,
         ),
     )
     streams = {"seed": config.seed, "first_trial": config.first_trial + rows.start}
@@ -155,7 +168,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     diagnostics = None
     if config.diagnostics:
         diagnostics = Diagnostics(actor, strategy, size, policy.parameters())
-    evaluator = _evaluator(config, policy, strategy, size, streams)
+    evaluator = _evaluator(config, env, policy, strategy, size, streams)
     return _build(
         None,
         lambda: Trainer(
@@ -164,43 +177,56 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
             optimizer,
             trials,
             evaluator=evaluator,
-            stop_on_evaluation=config.stop_on == "evaluation",
             diagnostics=diagnostics,
         ),
     )
 
 
 def _evaluator(
-    config: DictConfig, policy: Any, strategy: Any, trials: int, streams: Mapping[str, int]
+    config: DictConfig,
+    env: Any,
+    policy: Any,
+    strategy: Any,
+    trials: int,
+    streams: Mapping[str, int],
 ) -> Evaluator | None:
-    """Build the evaluator of the greedy policy; None if evaluation is off."""
+    """Build the evaluator; None if evaluation is off."""
     from tensordict.nn import TensorDictSequential
     from torchrl.envs.utils import ExplorationType
 
-    from trl_explore.collectors import auto_collector
+    from trl_explore.collectors import NotCompilableError, auto_collector
+    from trl_explore.collectors.fused.collector import compilable
     from trl_explore.numerics.streams import Stream
-    from trl_explore.training.evaluation import Evaluator, exploiting
+    from trl_explore.training.evaluation import Evaluator, acting
 
-    if config.stop_on not in STOP_ON:
-        raise ConfigError(f"stop_on must be one of {', '.join(STOP_ON)}, got {config.stop_on!r}")
     if not config.evaluate_every:
         return None
-    env = _instantiate(config, "env", without=STOPPING)(
-        trials=trials, stream=Stream.EVALUATION, **streams
-    )
-    greedy = TensorDictSequential(policy, cast(Any, exploiting(strategy)))
+    modules = cast(Any, acting(strategy, config.evaluate_policy))
+    both = TensorDictSequential(policy, modules)
+    if config.evaluate_every == "auto":
+        try:
+            compilable(env, both)
+        except NotCompilableError:
+            return None
+    greedy = config.evaluate_policy == "greedy"
     collector = auto_collector(
-        env,
-        greedy,
+        _instantiate(config, "env", without=STOPPING)(
+            trials=trials, stream=Stream.EVALUATION, **streams
+        ),
+        both,
         announce=False,
-        exploration_type=ExplorationType.DETERMINISTIC,
-        episodes_per_update=config.evaluate_episodes,
+        exploration_type=ExplorationType.DETERMINISTIC if greedy else ExplorationType.RANDOM,
     )
-    return Evaluator(
-        collector,
-        every=config.evaluate_every,
-        score_window=config.score_window,
-        score_threshold=config.score_threshold,
+    return _build(
+        None,
+        lambda: Evaluator(
+            collector,
+            every=config.evaluate_every,
+            episodes=config.evaluate_episodes,
+            most=config.evaluate_confirm,
+            threshold=config.score_threshold,
+            max_iterations=config.max_iterations,
+        ),
     )
 
 

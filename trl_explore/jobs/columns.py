@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trl_explore.statistics.learning import PURPOSES
 from trl_explore.statistics.outcomes import STATUSES
 
 TRIALS, EPISODES, SCALARS = "trials.csv", "episodes.csv", "scalars"
@@ -100,6 +101,11 @@ def statuses(texts: Sequence[str]) -> NDArray[np.str_]:
     return np.array(words(texts, STATUSES), dtype=np.str_)
 
 
+def purposes(texts: Sequence[str]) -> NDArray[np.int64]:
+    """Parse what evaluation episodes are for, as indices into ``PURPOSES`` [n]."""
+    return np.array([PURPOSES.index(t) for t in words(texts, PURPOSES)], dtype=np.int64)
+
+
 class Column(NamedTuple):
     """A column of a table.
 
@@ -146,6 +152,9 @@ EVALUATION_COLUMNS: dict[str, Column] = {
     "iteration": Column(integers),
     "score": Column(numbers),
 }
+PURPOSE_COLUMNS = {"purpose": Column(purposes, PURPOSES.__getitem__)}
+"""A further column of ``evaluations.csv``: what the episode is for; files of older versions have
+none, and only scheduled episodes."""
 TIMING_COLUMNS = ("experiment", "job", "trial", "seconds", "frames")
 CURVE_COLUMNS = {"iteration": Column(integers), "value": Column(numbers)}
 """The columns of a file in ``scalars/``, which has no header line."""

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trl_explore.statistics.outcomes import Outcomes
 
@@ -78,10 +79,14 @@ def duration(seconds: float) -> str:
 def table(jobs: Iterable[Outcomes]) -> str:
     """The outcomes of the jobs, one line for each job.
 
-    The column "median iterations" is the median of the iterations to convergence over all trials,
-    including those that reached the cap; "> cap" if fewer than half of the trials converged.
+    "passed" counts the trials whose training scores exceeded the threshold, "learned" those whose
+    policy did without the strategy. After either stands the median of the iterations until then,
+    over all trials; "> n" if fewer than half did so within n iterations. A dash: not recorded.
     """
-    header = ("job", "trials", "converged", "median iterations", "mean score", "frames", "seconds")
+    header = (
+        "job", "trials", "passed", "after", "learned", "after", "mean score", "learned score",
+        "frames", "seconds",
+    )  # fmt: skip
     lines = text_table([header, *(_row(job) for job in jobs)], left={0})
     lines.insert(1, "-" * max(map(len, lines)))
     return "\n".join(lines)
@@ -113,17 +118,28 @@ def warnings(jobs: Iterable[Outcomes]) -> list[str]:
 
 
 def _row(job: Outcomes) -> tuple[str, ...]:
-    to_convergence = np.where(job.converged, job.iterations, np.inf)
-    # The lower median: for an even number of trials, the smaller of the two middle values.
-    median = np.sort(to_convergence)[(len(job) - 1) // 2]
     diverged = int((job.status == "diverged").sum())
+    passed, after = _counted(job.passed, job.iterations_to_pass)
     return (
         job.name,
         str(len(job)),
-        f"{int(job.converged.sum())} ({job.converged.mean():.0%})"
-        + (f", {diverged} diverged" if diverged else ""),
-        f"{median:.0f}" if np.isfinite(median) else f"> {job.cap}",
+        passed + (f", {diverged} diverged" if diverged else ""),
+        after,
+        *_counted(job.learned, job.iterations_to_learn),
         f"{job.score.mean():.1f}",
+        "–" if job.learned_score is None else f"{job.learned_score.mean():.1f}",
         f"{int(job.frames.sum()):,}",
         f"{job.provenance['seconds']:.1f}",
     )
+
+
+def _counted(
+    event: NDArray[np.bool_] | None, iterations: NDArray[np.int64] | None
+) -> tuple[str, str]:
+    """How many trials had the event, and the median iterations until then."""
+    if event is None or iterations is None:
+        return "–", "–"
+    # The lower median: for an even number of trials, the smaller of the two middle values.
+    median = np.sort(np.where(event, iterations, np.inf))[(len(event) - 1) // 2]
+    after = f"{median:.0f}" if np.isfinite(median) else f"> {iterations[~event].max()}"
+    return f"{int(event.sum())} ({event.mean():.0%})", after

@@ -12,11 +12,18 @@ from trl_explore.jobs.columns import (
     EPISODES,
     EVALUATION_COLUMNS,
     EVALUATIONS,
+    PURPOSE_COLUMNS,
     TRIALS,
     ResultsError,
     read_table,
 )
 from trl_explore.jobs.reading import read_episodes, read_run, read_trials
+from trl_explore.statistics.learning import (
+    AUTO,
+    FINAL_EPISODES,
+    PURPOSES,
+    evaluations_until,
+)
 from trl_explore.training.columns import DIAGNOSTIC_COLUMNS, DIAGNOSTICS
 
 if TYPE_CHECKING:
@@ -62,8 +69,12 @@ def read_diagnostics(job: Path, episodes: pd.DataFrame | None = None) -> pd.Data
     return rows.reset_index(drop=True)
 
 
-def read_evaluations(job: Path) -> dict[str, NDArray[Any]] | None:
+def read_evaluations(job: Path, purpose: str = "scheduled") -> dict[str, NDArray[Any]] | None:
     """Read ``evaluations.csv`` of a job, one entry per episode, and check it against the trials.
+
+    Args:
+        job: folder of a finished job.
+        purpose: ``scheduled``, ``confirmation`` or ``final``.
 
     Returns:
         trial and iteration (int64) and score (float64) [n], in the order of the file; None if
@@ -75,18 +86,31 @@ def read_evaluations(job: Path) -> dict[str, NDArray[Any]] | None:
     where = job / EVALUATIONS
     if not where.exists():
         return None
-    columns = read_table(where, EVALUATION_COLUMNS)
+    columns = read_table(where, EVALUATION_COLUMNS, PURPOSE_COLUMNS)
     config, trials = read_run(job)["config"], read_trials(job)
     every, count = config.get("evaluate_every"), config.get("evaluate_episodes", 1)
-    if not isinstance(every, int) or not isinstance(count, int) or every < 1 or count < 1:
+    whole = all(isinstance(x, int) and x >= 1 for x in (count, 1 if every == AUTO else every))
+    if not whole:
         raise ResultsError(f"{where}: the configuration of the job has no evaluations")
-    expected = [
-        (trial, i)
-        for trial, last in zip(trials["trial"], trials["iterations"], strict=True)
-        for i in range(every, last + 1, every)
+    last = dict(zip(trials["trial"].tolist(), trials["iterations"].tolist(), strict=True))
+    diverged = dict(zip(trials["trial"], trials["status"] == "diverged", strict=True))
+    kinds = columns.pop("purpose", None)
+    if kinds is None:  # a file of an older version
+        kinds, first, cap, final = np.zeros(len(columns["trial"]), np.int64), 1, 0, 0
+    else:
+        first, cap, final = 0, config["max_iterations"], FINAL_EPISODES
+    scheduled = [
+        (trial, int(i))
+        for trial, end in last.items()
+        for i in evaluations_until(end, every, cap)
+        if i >= first and not (diverged[trial] and i == end)
         for _ in range(count)
     ]
-    found = sorted(zip(columns["trial"].tolist(), columns["iteration"].tolist(), strict=True))
-    if found != expected:
+    finals = [(t, end) for t, end in last.items() if not diverged[t] for _ in range(final)]
+    pairs = list(zip(columns["trial"].tolist(), columns["iteration"].tolist(), strict=True))
+    found = [sorted(p for p, k in zip(pairs, kinds, strict=True) if k == i) for i in range(3)]
+    confirmed = all(trial in last and 0 < i <= last[trial] for trial, i in found[1])
+    if not (found[0] == scheduled and found[2] == finals and confirmed):
         raise ResultsError(f"{where}: its episodes do not match {TRIALS}")
-    return columns
+    chosen = kinds == PURPOSES.index(purpose)
+    return {name: column[chosen] for name, column in columns.items()}

@@ -20,7 +20,10 @@ from trl_explore.jobs.columns import (
     EPISODES,
     EVALUATION_COLUMNS,
     EVALUATIONS,
+    LEARN_COLUMNS,
     PACKAGES,
+    PASS_COLUMNS,
+    PURPOSE_COLUMNS,
     RUN,
     SCALARS,
     TIMING_COLUMNS,
@@ -71,6 +74,7 @@ def write_job(
     seconds: float,
     episodes: bool = True,
     evaluations: Mapping[str, NDArray[Any]] | None = None,
+    learned: Mapping[str, NDArray[Any]] | None = None,
     diagnostics: Mapping[str, NDArray[Any]] | None = None,
 ) -> None:
     """Write every file of a finished job.
@@ -86,17 +90,18 @@ def write_job(
         seconds: wall time of the training, without compilation.
         episodes: whether to write ``episodes.csv``.
         evaluations: the columns of ``evaluations.csv``; None: do not write it.
+        learned: the columns ``LEARN_COLUMNS`` of ``trials.csv``; None: do not write them.
         diagnostics: further columns of ``episodes.csv``, one entry per iteration and active trial.
     """
     import torch
 
-    _write_text(job / TRIALS, _trials_csv(trials, config))
+    _write_text(job / TRIALS, _trials_csv(trials, config, learned or {}))
     if episodes:
         extra = diagnostics or {}
         _write_text(job / EPISODES, _episodes_csv(trials, config["first_trial"], extra))
     if evaluations is not None:
         values = _from(config["first_trial"], evaluations)
-        _write_text(job / EVALUATIONS, table_text(EVALUATION_COLUMNS, values))
+        _write_text(job / EVALUATIONS, table_text(EVALUATION_COLUMNS | PURPOSE_COLUMNS, values))
     _write_scalars(job, trials)
     _write_weights(job / WEIGHTS, weights)
     run = {
@@ -147,13 +152,17 @@ def _sync(path: Path) -> None:
         os.close(place)
 
 
-def _trials_csv(trials: Trials, config: Mapping[str, Any]) -> str:
+def _trials_csv(
+    trials: Trials, config: Mapping[str, Any], learned: Mapping[str, NDArray[Any]]
+) -> str:
     values = {
         "trial": config["first_trial"] + np.arange(len(trials)),
         "seed": np.full(len(trials), config["seed"]),
+        **learned,
     }
-    others = {name: getattr(trials, name) for name in TRIAL_COLUMNS if name not in values}
-    return table_text(TRIAL_COLUMNS, {name: np.asarray(x) for name, x in (values | others).items()})
+    columns = TRIAL_COLUMNS | PASS_COLUMNS | (LEARN_COLUMNS if learned else {})
+    others = {name: getattr(trials, name) for name in columns if name not in values}
+    return table_text(columns, {name: np.asarray(x) for name, x in (values | others).items()})
 
 
 def _episodes_csv(

@@ -25,7 +25,9 @@ AGENT_GROUPS = (
 )  # fmt: skip
 # Keys of an environment that do not define the agent: its default stopping rule, and the number
 # of processes.
-NO_AGENT = ("score_threshold", "score_window", "max_iterations", "workers")
+NO_AGENT = (
+    "score_threshold", "score_window", "max_iterations", "evaluate_confirm", "workers",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

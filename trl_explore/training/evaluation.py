@@ -1,4 +1,4 @@
-"""Evaluation of the greedy policy, with random streams separate from those of training."""
+"""What the policy has learned: its score without the strategy, on random streams of its own."""
 
 from __future__ import annotations
 
@@ -11,125 +11,283 @@ from numpy.typing import NDArray
 
 from trl_explore.checks import check_integer
 from trl_explore.collectors import EpisodeCollector
+from trl_explore.statistics.learning import (
+    AUTO,
+    FINAL_EPISODES,
+    LEARNED,
+    UNDECIDED,
+    decide,
+    schedule,
+    stages,
+)
 from trl_explore.strategies import (
     Argmax,
     BaseStrategy,
     ContinuousStrategy,
+    Gaussian,
     MeanAction,
+    Softmax,
     Strategy,
 )
 
+SCHEDULED, CONFIRMATION, FINAL = range(3)
+"""Indices into ``learning.PURPOSES``."""
+_STATE = (
+    "learned", "iterations_to_learn", "frames_to_learn", "learned_score", "_lowest", "_latest",
+    "_looked",
+)  # fmt: skip
+"""The arrays that a checkpoint keeps; each has an entry per trial."""
+
+_Row = tuple[NDArray[np.int64], int, NDArray[np.int64], NDArray[np.float64]]
+"""Iteration [trials], purpose, trial [trials], and scores [trials, episodes] of some episodes."""
+
 
 class Evaluator:
-    """Scores of the greedy policy argmax π(·|s) of every trial, every ``every`` iterations.
+    """Plays the policy of every trial without exploration, and decides when it has learned.
 
     The score of a training episode includes the effect of exploration: ε = 0.3 lowers the score.
-    Here every active trial plays ``episodes`` episodes without exploration, with the streams
-    ``Stream.EVALUATION``, so that evaluation does not change the random numbers or the files of
-    training.
+    Here the policy acts alone. An evaluation at iteration i plays the weights after i updates. The
+    training episode of iteration i + 1 is played with the same weights: the difference of the two
+    is what exploration costs the agent while it acts.
+
+    Scheduled evaluations play ``episodes`` episodes of every active trial. If their mean exceeds
+    the threshold and the trial has not learned yet, fresh episodes must confirm it
+    (``statistics.learning.decide``). At the end, ``FINAL_EPISODES`` episodes of every trial's final
+    policy give its learned score; if it has not learned and no evaluation was due when it stopped,
+    they are its last evaluation.
+    Iteration 0 is evaluated, but cannot show that a trial has learned.
+
+    Every episode has its own stream, from seed, trial, purpose, iteration and its index, so that no
+    score depends on other evaluations, and training draws the same numbers with or without them.
 
     Args:
-        collector: a collector with a separate environment, ``ExplorationType.DETERMINISTIC`` and
-            ``episodes`` episodes per call.
-        every: the number of iterations between evaluations, >= 1.
-        score_window: the number of evaluation episodes that the mean averages over, >= 1.
-        score_threshold: the mean over a full window must exceed it.
+        collector: a collector with a separate environment and a strategy that does not explore.
+        every: the iterations between evaluations, >= 1, or ``auto``.
+        episodes: the episodes of a scheduled evaluation, >= 1.
+        most: the largest number of confirmation episodes, >= 20.
+        threshold: the mean score must exceed it.
+        max_iterations: the cap of the trials, which is always evaluated.
 
     Raises:
         ValueError: if a number is out of range.
     """
 
     def __init__(
-        self, collector: EpisodeCollector, *, every: int, score_window: int, score_threshold: float
+        self,
+        collector: EpisodeCollector,
+        *,
+        every: int | str = AUTO,
+        episodes: int = 2,
+        most: int = 500,
+        threshold: float,
+        max_iterations: int,
     ) -> None:
         self.collector = collector
-        self.every = check_integer("evaluate_every", every, 1)
-        self.score_threshold = score_threshold
-        self._window = np.zeros((collector.trials, check_integer("score_window", score_window, 1)))
-        self._filled = 0
-        self._rows: list[tuple[int, NDArray[np.int64], NDArray[np.float64]]] = []
+        self.every = every if every == AUTO else check_integer("evaluate_every", every, 1)
+        self.episodes = check_integer("evaluate_episodes", episodes, 1, 10**6)
+        self.most = check_integer("evaluate_confirm", most, 20, 10**6)
+        self.threshold, self.max_iterations = threshold, max_iterations
+        n = collector.trials
+        self.learned = np.zeros(n, dtype=np.bool_)
+        """Whether the trial has learned [n]."""
+        self.iterations_to_learn = np.zeros(n, dtype=np.int64)
+        """The iteration of the evaluation that showed it [n]; before, that of the latest."""
+        self.frames_to_learn = np.zeros(n, dtype=np.int64)
+        """The training frames until then [n]."""
+        self.learned_score = np.zeros(n)
+        """Mean score of the final policy [n]; of a diverged trial, that of its last evaluation."""
+        self._lowest = np.full(n, math.inf)
+        self._latest = np.zeros(n)
+        self._looked = np.full(n, -1, dtype=np.int64)
+        self._rows: list[_Row] = []
+        self._last: list[_Row] = []
+        """The rows of ``finish``, which a resumed training plays again."""
+        fixed = schedule(self.every, max_iterations)
+        self._fixed = None if fixed is None else frozenset(fixed.tolist())
 
     def is_due(self, iteration: int) -> bool:
         """Whether there is an evaluation after ``iteration`` iterations."""
-        return iteration % self.every == 0
+        if self._fixed is not None:
+            return iteration in self._fixed
+        return iteration % int(self.every) == 0 or iteration == self.max_iterations
 
-    def evaluate(self, iteration: int, active: NDArray[np.bool_]) -> None:
-        """Play episodes with the active trials' current parameters, and record the scores."""
-        k = self.collector.episodes_per_update
-        # Episode numbers follow from the iteration, so they do not depend on when trials stopped.
-        self.collector.episodes[:] = k * (iteration // self.every - 1)
-        scores = self.collector.collect(active).score
-        trial, columns = np.flatnonzero(active), scores.reshape(-1, k)
-        for j in range(k):
-            self._window[trial, (self._filled + j) % self._window.shape[1]] = columns[:, j]
-        self._filled += k
-        self._rows.append((iteration, trial, columns))
+    def evaluate(
+        self, iteration: int, active: NDArray[np.bool_], frames: NDArray[np.int64]
+    ) -> None:
+        """Evaluate the active trials with their current parameters.
 
-    def passed(self, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Whether the mean over a full window exceeds the threshold [active]."""
-        full = self._filled >= self._window.shape[1]
-        return full & (self._window[active].mean(1) > self.score_threshold)
+        Args:
+            iteration: the number of updates so far.
+            active: the trials to evaluate [n].
+            frames: the training frames of every trial so far [n].
+        """
+        trials = np.flatnonzero(active & (self._looked < iteration))
+        at = np.full(len(trials), iteration)
+        scores = self._play(SCHEDULED, at, trials, 0, self.episodes, self._rows)
+        self._judge(at, trials, scores, frames, self._rows)
+
+    def finish(
+        self,
+        iterations: NDArray[np.int64],
+        frames: NDArray[np.int64],
+        diverged: NDArray[np.bool_],
+    ) -> None:
+        """Play the final policies, after all trials have stopped.
+
+        Args:
+            iterations: of every trial until it stopped [n].
+            frames: the training frames of every trial [n].
+            diverged: which trials have no usable policy any more [n].
+        """
+        self._last = []
+        never = diverged & ~self.learned
+        self.learned_score[diverged] = self._latest[diverged]
+        self.iterations_to_learn[never], self.frames_to_learn[never] = (
+            iterations[never], frames[never],
+        )  # fmt: skip
+        trials = np.flatnonzero(~diverged)
+        at = iterations[trials]
+        scores = self._play(FINAL, at, trials, 0, FINAL_EPISODES, self._last)
+        self.learned_score[trials] = scores.mean(1)
+        new = self._looked[trials] < at
+        self._judge(at[new], trials[new], scores[new], frames, self._last)
+
+    def _judge(
+        self,
+        at: NDArray[np.int64],
+        trials: NDArray[np.int64],
+        scores: NDArray[np.float64],
+        frames: NDArray[np.int64],
+        rows: list[_Row],
+    ) -> None:
+        """Apply the rule to an evaluation, with scores [trials, k], at the iterations [trials]."""
+        mean = scores.mean(1)
+        self._latest[trials], self._looked[trials] = mean, at
+        late = ~self.learned[trials]
+        self.iterations_to_learn[trials[late]] = at[late]
+        self.frames_to_learn[trials[late]] = frames[trials[late]]
+        todo = late & (mean > self.threshold) & (at > 0)
+        trials, at = trials[todo], at[todo]
+        known = np.empty((len(trials), 0))
+        for n in stages(self.most):
+            if not len(trials):
+                break
+            fresh = self._play(CONFIRMATION, at, trials, known.shape[1], n, rows)
+            known = np.concatenate([known, fresh], axis=1)
+            verdict = decide(known, self._lowest[trials], self.threshold, self.most)
+            self.learned[trials[verdict == LEARNED]] = True
+            todo = verdict == UNDECIDED
+            trials, at, known = trials[todo], at[todo], known[todo]
+
+    def _play(
+        self,
+        purpose: int,
+        at: NDArray[np.int64],
+        trials: NDArray[np.int64],
+        first: int,
+        until: int,
+        rows: list[_Row],
+    ) -> NDArray[np.float64]:
+        """Play and record the episodes ``first`` to ``until`` of the trials [trials, episodes]."""
+        numbers = episode_number(purpose, at[:, None], np.arange(first, until))
+        k = until - first
+        scores = self.collector.play(np.repeat(trials, k), numbers.reshape(-1))[0].reshape(-1, k)
+        rows.append((at, purpose, trials, scores))
+        self._lowest[trials] = np.minimum(self._lowest[trials], scores.min(1))
+        return scores
 
     def rows(self) -> dict[str, NDArray[Any]]:
-        """One row for each evaluation episode: "trial", "iteration", "score"."""
-        k = self.collector.episodes_per_update
-        trial = [np.repeat(lanes, k) for _, lanes, _ in self._rows]
-        iteration = [np.repeat(i, columns.size) for i, _, columns in self._rows]
-        score = [columns.reshape(-1) for _, _, columns in self._rows]
+        """One row per episode: "trial", "iteration", "score", and "purpose" as an index.
+
+        Ordered by iteration, purpose, trial and episode.
+        """
+        rows = [*self._rows, *self._last]
+        iteration = np.concatenate([np.repeat(at, x.shape[1]) for at, _, _, x in rows])
+        trial = np.concatenate([np.repeat(trials, x.shape[1]) for _, _, trials, x in rows])
+        purpose = np.concatenate([np.full(x.size, kind) for _, kind, _, x in rows])
+        score = np.concatenate([x.reshape(-1) for *_, x in rows])
+        order = np.lexsort((trial, purpose, iteration))
         return {
-            "trial": np.concatenate([np.empty(0, np.int64), *trial]),
-            "iteration": np.concatenate([np.empty(0, np.int64), *iteration]),
-            "score": np.concatenate([np.empty(0), *score]),
+            "trial": trial[order],
+            "iteration": iteration[order],
+            "score": score[order],
+            "purpose": purpose[order],
         }
 
     def state_dict(self) -> dict[str, Any]:
-        """The window of scores that ``passed`` reads; ``history`` has all scores."""
-        return {"window": self._window.copy(), "filled": self._filled}
+        """What the rule has decided and needs to go on; ``history`` has all scores."""
+        return {name: getattr(self, name).copy() for name in _STATE}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore a ``state_dict``."""
-        self._window[:] = np.asarray(state["window"])
-        self._filled = int(state["filled"])
+        for name in _STATE:
+            getattr(self, name)[:] = state[name]
 
     def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
-        """The record of the iterations after the first ``since``, up to and with ``until``."""
+        """The episodes after the first ``since`` iterations, up to and with ``until``.
+
+        Iteration 0 belongs to the first part. Every call of the collector gives one entry of
+        "iterations", "purposes", "counts" (of trials) and "widths" (episodes per trial).
+        """
         last = math.inf if until is None else until
-        part = [row for row in self._rows[since // self.every :] if since < row[0] <= last]
-        k = self.collector.episodes_per_update
+        part = [
+            row for row in self._rows if (since < row[0][0] or since == 0) and row[0][0] <= last
+        ]
         return {
-            "iterations": np.array([iteration for iteration, _, _ in part], dtype=np.int64),
-            "counts": np.array([len(trial) for _, trial, _ in part], dtype=np.int64),
-            "trial": np.concatenate([np.empty(0, np.int64), *(trial for _, trial, _ in part)]),
-            "scores": np.concatenate([np.empty((0, k)), *(columns for _, _, columns in part)]),
+            "iterations": np.array([row[0][0] for row in part], dtype=np.int64),
+            "purposes": np.array([row[1] for row in part], dtype=np.int64),
+            "counts": np.array([len(row[2]) for row in part], dtype=np.int64),
+            "widths": np.array([row[3].shape[1] for row in part], dtype=np.int64),
+            "trial": np.concatenate([np.empty(0, np.int64), *(row[2] for row in part)]),
+            "scores": np.concatenate([np.empty(0), *(row[3].reshape(-1) for row in part)]),
         }
 
     def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
         """Append the output of ``history``."""
-        cuts = np.cumsum(columns["counts"])[:-1]
-        parts = (columns["iterations"].tolist(), *(
-            np.split(columns[name], cuts) for name in ("trial", "scores")
-        ))  # fmt: skip
-        if len(columns["counts"]):
-            self._rows += list(zip(*parts, strict=True))
+        names = ("iterations", "purposes", "counts", "widths")
+        low = start = 0
+        for iteration, purpose, count, width in zip(
+            *(columns[name].tolist() for name in names), strict=True
+        ):
+            high, stop = low + count, start + count * width
+            scores = columns["scores"][start:stop].reshape(count, width)
+            at, trials = np.full(count, iteration), columns["trial"][low:high]
+            self._rows.append((at, purpose, trials, scores))
+            low, start = high, stop
 
 
-def exploiting(strategy: BaseStrategy) -> BaseStrategy:
-    """The strategy that takes the greedy action, with the same keys as ``strategy``.
+def episode_number(purpose: int, iteration: Any, episode: Any) -> Any:
+    """The number of an evaluation episode, from which its random streams follow.
 
-    For discrete actions it is the argmax of the logits; for continuous ones, the mean.
+    Training episodes have smaller numbers, so that no action noise is used twice.
+
+    >>> episode_number(CONFIRMATION, 5, 3) == 2 * 2**52 + 5 * 2**21 + 3
+    True
+    """
+    return (purpose + 1) * 2**52 + iteration * 2**21 + episode
+
+
+def acting(strategy: BaseStrategy, policy: str) -> BaseStrategy:
+    """The strategy that evaluations use in place of ``strategy``, with the same keys.
+
+    Args:
+        strategy: the strategy of the training.
+        policy: ``greedy``: the argmax of the logits, or the mean of a Gaussian; ``sampled``: an
+            action of π.
 
     Raises:
-        TypeError: if the strategy is of neither kind.
+        TypeError: if the strategy is neither a ``Strategy`` nor a ``ContinuousStrategy``.
     """
+    greedy = policy == "greedy"
     if isinstance(strategy, Strategy):
-        return Argmax(
+        return (Argmax if greedy else Softmax)(
             spec=strategy.spec,
             logits_key=strategy.logits_key,
             action_key=strategy.action_key,
             action_mask_key=strategy.action_mask_key,
         )
     if isinstance(strategy, ContinuousStrategy):
-        return MeanAction(
+        return (MeanAction if greedy else Gaussian)(
             loc_key=strategy.loc_key, scale_key=strategy.scale_key, action_key=strategy.action_key
         )
     raise TypeError(f"{type(strategy).__name__} must be a Strategy or a ContinuousStrategy")

@@ -18,14 +18,16 @@ from trl_explore.numerics.compiled.cache import compiled
 
 STATUSES = np.array(["active", "converged", "capped", "diverged"])
 ACTIVE, CONVERGED, CAPPED, DIVERGED = range(4)
+STOP_ON = ("training", "learned", "both", "never")
 CURVES = ("episode_score", "score", "active", "converged")
 
 
 class Trials:
     """The record of n independent trials, and their stopping rule.
 
-    A trial has converged when the mean score of its last ``score_window`` episodes is greater
-    than ``score_threshold``, over a full window; it is capped (right-censored) after
+    A trial has passed when the mean score of its last ``score_window`` episodes is greater than
+    ``score_threshold``, over a full window. What stops it, so that it has converged, is that it has
+    passed, or learned, or both, by ``stop_on``. It is capped (right-censored) after
     ``max_iterations``; it has diverged when its loss or a weight is no longer finite.
 
     Args:
@@ -33,6 +35,8 @@ class Trials:
         max_iterations: the cap, >= 1.
         score_threshold: the final score must exceed it.
         score_window: the number of episodes that the final score averages over, >= 1.
+        stop_on: what stops a trial before the cap: ``training`` (it has passed), ``learned``,
+            ``both``, or ``never``.
 
     Raises:
         ValueError: if an argument is out of range.
@@ -45,7 +49,11 @@ class Trials:
         max_iterations: int = 1000,
         score_threshold: float = 195.0,
         score_window: int = 100,
+        stop_on: str = "training",
     ) -> None:
+        if stop_on not in STOP_ON:
+            raise ValueError(f"stop_on must be one of {', '.join(STOP_ON)}, got {stop_on!r}")
+        self.stop_on = stop_on
         n = check_integer("trials", trials, 1)
         self.max_iterations = check_integer("max_iterations", max_iterations, 1)
         self.score_threshold = check_number("score_threshold", score_threshold)
@@ -57,6 +65,10 @@ class Trials:
         self.seconds = np.zeros(n)
         self.score = np.zeros(n)
         """Mean score of the last ``score_window`` episodes, or of all if there are fewer [n]."""
+        self.passed = np.zeros(n, dtype=np.bool_)
+        """Whether the trial has passed, now or in an earlier iteration [n]."""
+        self._passed_at = np.zeros((2, n), dtype=np.int64)
+        """Iterations and frames until then [2, n]."""
         self._episode_score = np.zeros(n)
         self._n_episodes = 0
         self._window = np.zeros((self.score_window, n))
@@ -75,9 +87,11 @@ class Trials:
             max_iterations=first.max_iterations,
             score_threshold=first.score_threshold,
             score_window=first.score_window,
+            stop_on=first.stop_on,
         )
-        for name in ("_status", "active", "iterations", "frames", "seconds", "score"):
-            setattr(out, name, np.concatenate([getattr(part, name) for part in parts]))
+        names = ("_status", "active", "iterations", "frames", "seconds", "score", "passed")
+        for name in (*names, "_passed_at"):
+            setattr(out, name, np.concatenate([getattr(part, name) for part in parts], axis=-1))
         offsets = np.cumsum([0, *map(len, parts)])
         for i in range(max(part.iteration for part in parts)):
             rows = [
@@ -103,7 +117,7 @@ class Trials:
         frames: NDArray[np.int64],
         diverged: NDArray[np.bool_],
         seconds: float,
-        passed: NDArray[np.bool_] | None = None,
+        learned: NDArray[np.bool_] | None = None,
     ) -> None:
         """Record one iteration, and apply the stopping rule.
 
@@ -113,16 +127,31 @@ class Trials:
             frames: the numbers of frames of the episodes, in the same shape.
             diverged: whether the trial's loss or a weight is not finite [active].
             seconds: wall time since the first iteration of these trials began [s].
-            passed: whether the trial has converged [active]; None: its training scores decide.
+            learned: whether each trial has learned [n]; needed if that can stop it.
         """
         (trial,) = self.active.nonzero()
         highest = self._enter(trial, scores, frames, seconds)
         full = self._n_episodes >= self.score_window
-        some = (full and highest > self.score_threshold) if passed is None else passed.any()
-        if some or diverged.any() or self.iteration >= self.max_iterations:
-            if passed is None:
-                passed = (self.score[trial] > self.score_threshold) & full
-            self._stop(trial, passed & ~diverged, diverged)
+        if full and highest > self.score_threshold:
+            new = trial[(self.score[trial] > self.score_threshold) & ~diverged]
+            new = new[~self.passed[new]]
+            self.passed[new] = True
+            self._passed_at[:, new] = self.iterations[new], self.frames[new]
+        met = self._met(trial, learned)
+        if met.any() or diverged.any() or self.iteration >= self.max_iterations:
+            self._stop(trial, met & ~diverged, diverged)
+
+    def _met(
+        self, trial: NDArray[np.int64], learned: NDArray[np.bool_] | None
+    ) -> NDArray[np.bool_]:
+        """Whether the stopping rule is met, before the cap [active]."""
+        if self.stop_on == "training":
+            return self.passed[trial]
+        if self.stop_on == "never":
+            return np.zeros(len(trial), dtype=np.bool_)
+        if learned is None:
+            raise ValueError(f"stop_on={self.stop_on} needs to know which trials have learned")
+        return learned[trial] if self.stop_on == "learned" else (learned & self.passed)[trial]
 
     def _enter(
         self,
@@ -143,9 +172,9 @@ class Trials:
         )  # fmt: skip
 
     def _stop(
-        self, trial: NDArray[np.int64], passed: NDArray[np.bool_], diverged: NDArray[np.bool_]
+        self, trial: NDArray[np.int64], met: NDArray[np.bool_], diverged: NDArray[np.bool_]
     ) -> None:
-        self._status[trial[passed]] = CONVERGED
+        self._status[trial[met]] = CONVERGED
         self._status[trial[diverged]] = DIVERGED
         if self.iteration >= self.max_iterations:
             self._status[self._status == ACTIVE] = CAPPED
@@ -157,8 +186,18 @@ class Trials:
         return STATUSES[self._status]
 
     @property
+    def iterations_to_pass(self) -> NDArray[np.int64]:
+        """Iterations until the trial passed, or all so far [n]."""
+        return np.where(self.passed, self._passed_at[0], self.iterations)
+
+    @property
+    def frames_to_pass(self) -> NDArray[np.int64]:
+        """Frames until the trial passed, or all so far [n]."""
+        return np.where(self.passed, self._passed_at[1], self.frames)
+
+    @property
     def converged(self) -> NDArray[np.bool_]:
-        """Whether the trial has converged [n]."""
+        """Whether the trial's stopping rule was met [n]."""
         return self._status == CONVERGED
 
     def curves(self) -> dict[str, NDArray[np.float64]]:
@@ -203,6 +242,8 @@ class Trials:
         return {
             **arrays,
             "status": self._status.copy(),
+            "passed": self.passed.copy(),
+            "passed_at": self._passed_at.copy(),
             "iteration": self.iteration,
             "episodes": self._n_episodes,
         }
@@ -221,6 +262,7 @@ class Trials:
         for name in _ROWS:
             getattr(self, name)[:] = state[name]
         self._status[:] = state["status"]
+        self.passed[:], self._passed_at[:] = state["passed"], state["passed_at"]
         self.active = self._status == ACTIVE
         self._n_episodes = int(state["episodes"])
 

@@ -128,9 +128,21 @@ class Shards:
     def evaluations(self) -> dict[str, NDArray[Any]] | None:
         """The rows of ``Evaluator.rows`` for all trials; None if there is no evaluation."""
         parts = [t.evaluator.rows() for t in self.trainers if t.evaluator is not None]
+        if not parts:
+            return None
         for part, offset in zip(parts, self.offsets, strict=False):
             part["trial"] = part["trial"] + offset
-        return _by_iteration(parts, [part["iteration"] for part in parts])
+        rows = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        order = np.lexsort((rows["trial"], rows["purpose"], rows["iteration"]))
+        return {name: column[order] for name, column in rows.items()}
+
+    def learned(self) -> dict[str, NDArray[Any]] | None:
+        """What every trial has learned, by column of ``trials.csv``; None: not evaluated."""
+        found = [t.evaluator for t in self.trainers if t.evaluator is not None]
+        names = ("learned", "iterations_to_learn", "frames_to_learn", "learned_score")
+        if not found:
+            return None
+        return {name: np.concatenate([getattr(part, name) for part in found]) for name in names}
 
     def diagnostics(self) -> dict[str, NDArray[Any]] | None:
         """Every diagnostic, one entry per iteration and active trial; None if not recorded."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 import numpy as np
@@ -42,14 +43,13 @@ class Trainer:
         loss: a loss with one value per trial, in "trial_loss", and reduction "sum" or "none".
         optimizer: updates the active trials.
         trials: the record with the stopping rule.
-        evaluator: plays the greedy policy at regular intervals.
-        stop_on_evaluation: whether evaluation scores decide convergence, not training scores.
+        evaluator: plays the policy without exploration, and decides when a trial has learned.
         diagnostics: records quantities that explain how a trial learns.
         on_iteration: called after each iteration with the record.
 
     Raises:
-        ValueError: if the loss averages over trials, which would couple them, or if
-            ``stop_on_evaluation`` is set without an evaluator.
+        ValueError: if the loss averages over trials, which would couple them, or if trials stop
+            on what they learned and there is no evaluator.
     """
 
     def __init__(
@@ -60,7 +60,6 @@ class Trainer:
         trials: Trials,
         *,
         evaluator: Evaluator | None = None,
-        stop_on_evaluation: bool = False,
         diagnostics: Diagnostics | None = None,
         on_iteration: Callable[[Trials], None] | None = None,
     ) -> None:
@@ -68,20 +67,24 @@ class Trainer:
             raise ValueError(
                 "loss: reduction must be 'sum' or 'none', got 'mean', which couples the trials"
             )
-        if stop_on_evaluation and evaluator is None:
-            raise ValueError("stop_on=evaluation needs evaluate_every >= 1, got 0")
+        if trials.stop_on in ("learned", "both") and evaluator is None:
+            raise ValueError(
+                f"stop_on={trials.stop_on} needs evaluations: evaluate_every=auto where a compiled "
+                "kernel serves, or a number"
+            )
         self.collector = collector
         self.loss = loss
         self.optimizer = optimizer
         self.trials = trials
         self.evaluator = evaluator
-        self.stop_on_evaluation = stop_on_evaluation
         self.diagnostics = diagnostics
         self.on_iteration = on_iteration
         self._weights = Views(optimizer.parameters)
         self.seconds = 0.0
-        """Wall time of training so far, without compilation; includes the time before an
-        interruption [s]."""
+        """Wall time of training so far, without compilation and evaluations; includes the time
+        before an interruption [s]."""
+        self.evaluating = 0.0
+        """Wall time of evaluations since the trainer was built, without compilation [s]."""
         parts = {
             "collector": collector,
             "loss": loss,
@@ -95,13 +98,27 @@ class Trainer:
 
     def run(self, stopped: Callable[[], bool] = lambda: False) -> Trials:
         """Train until every trial has stopped, or ``stopped()`` is true between iterations."""
-        started = clock() - self.seconds
+        before = self.seconds - clock() + self.evaluating
+        if self.trials.iteration == 0:
+            self._evaluate(0, self.trials.active, self.trials.frames)
         while self.trials.active.any() and not stopped():
-            self._iterate(started)
-            self.seconds = clock() - started
+            self._iterate(before)
+            self.seconds = before + clock() - self.evaluating
             if self.on_iteration is not None:
                 self.on_iteration(self.trials)
+        if self.evaluator is not None and not self.trials.active.any():
+            with self._evaluation():
+                self.evaluator.finish(
+                    self.trials.iterations, self.trials.frames, self.trials.status == "diverged"
+                )
         return self.trials
+
+    @contextmanager
+    def _evaluation(self) -> Iterator[None]:
+        """Count the time as that of evaluation."""
+        started = clock()
+        yield
+        self.evaluating += clock() - started
 
     @property
     def parallel(self) -> bool:
@@ -145,7 +162,7 @@ class Trainer:
                 own = [column for column in columns if column.startswith(f"{name}.")]
                 part.load_history({c.removeprefix(f"{name}."): columns[c] for c in own})
 
-    def _iterate(self, started: float) -> None:
+    def _iterate(self, before: float) -> None:
         active = self.trials.active
         self.optimizer.zero_grad()
         frames, scores, lengths = self.collector.collect(active)
@@ -156,20 +173,24 @@ class Trainer:
         self.loss.step(frames)
         self.collector.strategy.step(frames)
         diverged = self._diverged(trial_loss, active)
-        passed = self._evaluate(active)
-        self.trials.record(scores, lengths, diverged, clock() - started, passed)
+        seconds = before + clock() - self.evaluating
+        learned, iteration = None, self.trials.iteration + 1
+        if self.evaluator is not None:
+            learned = self.evaluator.learned
+            if self.evaluator.is_due(iteration):
+                sound, frames = active.copy(), self.trials.frames.copy()
+                sound[active] = ~diverged
+                frames[active] += lengths.reshape(len(lengths), -1).sum(1)
+                self._evaluate(iteration, sound, frames)
+        self.trials.record(scores, lengths, diverged, seconds, learned)
 
-    def _evaluate(self, active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
-        """Evaluate if due; returns which trials passed [active], or None if training decides."""
-        if self.evaluator is None:
-            return None
-        iteration = self.trials.iteration + 1
-        due = self.evaluator.is_due(iteration)
-        if due:
-            self.evaluator.evaluate(iteration, active)
-        if not self.stop_on_evaluation:
-            return None
-        return self.evaluator.passed(active) & due
+    def _evaluate(
+        self, iteration: int, trials: NDArray[np.bool_], frames: NDArray[np.int64]
+    ) -> None:
+        """Evaluate the trials [n], if there is an evaluator."""
+        if self.evaluator is not None and trials.any():
+            with self._evaluation():
+                self.evaluator.evaluate(iteration, trials, frames)
 
     def _diverged(self, trial_loss: torch.Tensor, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether an active trial's loss or one of its weights is not finite [active]."""

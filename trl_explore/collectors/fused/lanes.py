@@ -95,6 +95,7 @@ def retire(left, max_steps, scratch, lanes):
             continue
         slot, weight_slot = lanes.place[SLOT, j], lanes.place[WEIGHT_SLOT, j]
         scratch.steps[slot], scratch.ended[slot] = frame - slot * max_steps, lanes.over[j]
+        scratch.total[slot] = lanes.value[1, j]
         left -= 1
         lanes.over[j] = lanes.over[left]
         for i in range(6):
