@@ -171,7 +171,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
     study = write_study(tmp_path_factory.mktemp("study"))
     out = tmp_path_factory.mktemp("out")
-    page, gaps = build_report([study], out, resamples=299)
+    page, gaps = build_report([study], out)
     return Made(study, out, page.read_text(encoding="utf-8"), gaps)
 
 

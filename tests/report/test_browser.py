@@ -173,7 +173,7 @@ def test_tables_of_long_names_are_not_cut_off_on_a_wide_screen(tmp_path, make_jo
             taken = [400 + 97 * ((5 * n + k) % 7) for n in range(12)]
             make_job(tmp_path / "corrections", f"{strategy},{correction}", taken,
                      strategy=strategy, groups={"correction": correction})  # fmt: skip
-    page, _ = build_report([tmp_path / "corrections"], tmp_path / "out", resamples=99)
+    page, _ = build_report([tmp_path / "corrections"], tmp_path / "out")
     text = page.read_text(encoding="utf-8").replace("</body>", WIDTHS + "</body>")
     (tmp_path / "wide.html").write_text(text, encoding="utf-8")
     size = "--window-size=1280,900"

@@ -16,12 +16,12 @@ from trl_explore.report.render import FIXED, inline_svg, theme_css
 
 @pytest.fixture(scope="module")
 def evidence(layouts):
-    return gather(load([layouts]), resamples=199)
+    return gather(load([layouts]))
 
 
 @pytest.fixture(scope="module")
 def html(layouts, tmp_path_factory):
-    page, gaps = build_report([layouts], tmp_path_factory.mktemp("why"), resamples=199)
+    page, gaps = build_report([layouts], tmp_path_factory.mktemp("why"))
     assert not gaps
     return page.read_text(encoding="utf-8")
 
@@ -46,7 +46,7 @@ def test_what_the_corrections_do_stands_before_the_distance(tmp_path, make_job, 
     for strategy in ("argmax", "softmax"):  # the thesis's experiment comes first on a page
         make_job(tmp_path / "thesis", strategy, [150, 160, 170], strategy=strategy)
     folders = [tmp_path / "thesis", layouts / "corrections"]
-    text = build_report(folders, tmp_path / "out", resamples=99)[0].read_text(encoding="utf-8")
+    text = build_report(folders, tmp_path / "out")[0].read_text(encoding="utf-8")
     section = text[text.index('<section id="why-section">') :]
     section = section[: section.index("</section>")]
     far = section.index("How far μ was from π</h3>")
@@ -60,7 +60,7 @@ def test_nothing_is_said_of_a_distance_that_was_not_recorded(tmp_path, make_job)
         for k, strategy in enumerate(("argmax", "softmax")):
             make_job(sweep, f"{strategy},{correction}", [150 + 9 * k, 160, 170, 180, 190, 999],
                      strategy=strategy, groups={"correction": correction})  # fmt: skip
-    page, _ = build_report([sweep], tmp_path / "out", resamples=99)
+    page, _ = build_report([sweep], tmp_path / "out")
     text = page.read_text(encoding="utf-8")
     assert "Which conclusions survive" in text
     assert "The distance was recorded" not in text
@@ -73,7 +73,7 @@ def test_nothing_is_said_of_a_distance_that_was_not_recorded(tmp_path, make_job)
 def test_conclusions_show_both_verdicts(evidence):
     table = claims.conclusions_table(evidence.reexamined)
     assert len(table.records) == 10
-    record = next(r for r in table.records if r["id"] == "outlook.temperature_improves")
+    record = next(r for r in table.records if r["id"] == "outlook.acting_temperature_improves")
     assert record["outcome"] == "not measured"
     for record in table.records:
         assert record["outcome"] in claims.VERDICTS

@@ -55,7 +55,7 @@ def test_a_damaged_recording_is_a_gap_and_scores_are_still_drawn(tmp_path, make_
     make_job(tmp_path / "train", "argmax", [150, 200], strategy="argmax")
     text = (job / "episodes.csv").read_text()
     (job / "episodes.csv").write_text(text.replace(",0.25,", ",7.0,", 1))
-    evidence = gather(load([tmp_path]), resamples=99)
+    evidence = gather(load([tmp_path]))
     (gap,) = evidence.gaps
     assert "exploratory is outside the range 0 to 1" in gap.why
     assert len(evidence.groups[0].traces.learning) == 2

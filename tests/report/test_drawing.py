@@ -24,7 +24,7 @@ from trl_explore.report.style import visual_language
 
 @pytest.fixture(scope="module")
 def study(made) -> list[GroupEvidence]:
-    return gather(load([made.study]), resamples=99).groups
+    return gather(load([made.study])).groups
 
 
 @pytest.fixture(scope="module")
@@ -33,12 +33,12 @@ def twelve(tmp_path_factory, make_job) -> GroupEvidence:
     rng = np.random.default_rng(3)
     for k in range(12):
         make_job(folder, f"s{k:02d}", rng.integers(100, 999, 6), strategy=f"a_long_strategy_{k}")
-    return gather(load([folder]), resamples=99).groups[0]
+    return gather(load([folder])).groups[0]
 
 
 @pytest.fixture(scope="module")
 def laid_out(layouts) -> list[GroupEvidence]:
-    return gather(load([layouts]), resamples=99).groups
+    return gather(load([layouts])).groups
 
 
 def boxes(figure: Figure) -> list[tuple[str, Any]]:
@@ -82,7 +82,7 @@ def by_learning(tmp_path_factory, make_job) -> Evidence:
         learned = [None, *range(30, 65, 5)]
         make_job(folder / "thesis", strategy, [1000, *range(140, 210, 10)], strategy=strategy,
                  learned=learned)  # fmt: skip
-    return gather(load([folder]), resamples=99)
+    return gather(load([folder]))
 
 
 def test_no_text_lies_on_another_in_the_figure_of_why(by_learning):
@@ -113,7 +113,7 @@ def test_long_runs_have_room_for_their_numbers(tmp_path, make_job):
         for correction in ("NoCorrection", "PerStep"):
             make_job(tmp_path / "lake", f"{strategy},{correction}", [800, 9000, 10000], cap=10000,
                      strategy=strategy, groups={"correction": correction})  # fmt: skip
-    (part,) = gather(load([tmp_path]), resamples=99).groups
+    (part,) = gather(load([tmp_path])).groups
     for kind in KINDS:
         if kind.applies(part):
             with visual_language():

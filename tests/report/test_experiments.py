@@ -51,7 +51,7 @@ def test_an_experiment_has_a_title_and_is_drawn(runs, tmp_path, name):
     assert (group.plane is not None) == (layout == "plane")
     assert len(set(group.labels.values())) == len(group.configurations)
     assert not set(group.labels) & set(group.labels.values()) - {"softmax", "argmax", "random"}
-    page, gaps = build_report([runs / name], tmp_path, resamples=49)
+    page, gaps = build_report([runs / name], tmp_path)
     assert not gaps
     assert EXPERIMENTS[name].title in page.read_text(encoding="utf-8")
     assert list((tmp_path / "figures").glob("*.svg"))
@@ -64,7 +64,7 @@ def test_another_environment_with_a_small_threshold(tmp_path, make_job):
                      env=slippery, threshold=0.78)  # fmt: skip
     (group,) = group_jobs(load([tmp_path]).jobs)
     assert (group.title, group.threshold) == ("FrozenLake", 0.78)
-    page, gaps = build_report([tmp_path], tmp_path / "out", resamples=49)
+    page, gaps = build_report([tmp_path], tmp_path / "out")
     html = page.read_text(encoding="utf-8")
     assert not gaps
     assert "mean score above 0.78 over 100 episodes" in html

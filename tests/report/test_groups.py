@@ -15,11 +15,11 @@ def test_different_caps_stand_in_one_report_but_are_not_compared(tmp_path, make_
         for strategy in ("softmax", "argmax"):
             make_job(tmp_path / "train", f"{strategy},{cap}", [150, 200, cap], strategy=strategy,
                      cap=cap)  # fmt: skip
-    groups = gather(load([tmp_path]), resamples=99).groups
+    groups = gather(load([tmp_path])).groups
     assert [g.group.cap for g in groups] == [1000, 500]
     assert all(len(g.comparisons) == 1 for g in groups)
     assert len({g.group.id for g in groups}) == 2
-    build_report([tmp_path], tmp_path / "out", resamples=99)
+    build_report([tmp_path], tmp_path / "out")
 
 
 def test_different_environments_are_not_compared(tmp_path, make_job):
@@ -62,13 +62,13 @@ def test_configurations_of_one_name_are_both_kept(tmp_path, make_job):
                  parameters={"temperature": temperature})  # fmt: skip
     (group,) = group_jobs(load([tmp_path]).jobs)
     assert list(group.labels.values()) == ["T = 1", "T = 2"]
-    assert len(gather(load([tmp_path]), resamples=99).groups[0].comparisons) == 1
+    assert len(gather(load([tmp_path])).groups[0].comparisons) == 1
 
 
 def test_one_strategy_alone_one_trial_alone_and_nothing_converged(tmp_path, make_job):
     for name, durations in {"alone": [150, 170], "single": [150], "never": [1000, 1000]}.items():
         make_job(tmp_path / name, "softmax", durations)
-        page, gaps = build_report([tmp_path / name], tmp_path / "out" / name, resamples=99)
+        page, gaps = build_report([tmp_path / name], tmp_path / "out" / name)
         html = page.read_text()
         assert not gaps
         assert "Only softmax was run" in html
@@ -78,7 +78,7 @@ def test_one_strategy_alone_one_trial_alone_and_nothing_converged(tmp_path, make
 
 def test_a_diverged_trial_is_counted_and_named(tmp_path, make_job):
     make_job(tmp_path / "train", "softmax", [150, 40, 200], diverged=(1,))
-    page, _ = build_report([tmp_path], tmp_path / "out", resamples=99)
+    page, _ = build_report([tmp_path], tmp_path / "out")
     assert "2 of 3, 1 diverged" in page.read_text()
 
 
@@ -98,7 +98,7 @@ def test_sections_of_other_environments_or_caps_are_told_apart_by_their_titles(t
     assert titles == {
         "softmax, CartPole-v1", "softmax, Acrobot-v1, cap 1,000", "softmax, Acrobot-v1, cap 500"
     }  # fmt: skip
-    page, _ = build_report([tmp_path], tmp_path / "out", resamples=99)
+    page, _ = build_report([tmp_path], tmp_path / "out")
     text = page.read_text(encoding="utf-8")
     assert "learned Acrobot-v1 with REINFORCE (separate sections cover CartPole-v1)." in text
 
@@ -106,6 +106,6 @@ def test_sections_of_other_environments_or_caps_are_told_apart_by_their_titles(t
 def test_a_cap_before_the_first_full_window_is_told(tmp_path, make_job):
     make_job(tmp_path / "train", "a", [50, 50], cap=50)
     make_job(tmp_path / "train", "b", [50, 50], cap=50, strategy="random")
-    page, _ = build_report([tmp_path], tmp_path / "out", resamples=99)
+    page, _ = build_report([tmp_path], tmp_path / "out")
     text = page.read_text(encoding="utf-8")
     assert re.search("No trial could pass: the cap of 50 iterations .* 100 episodes", text)

@@ -172,7 +172,7 @@ def test_episodes_cut_off_leave_a_gap_and_no_false_curve(tmp_path, make_job):
     job = make_job(tmp_path / "train", "softmax", [150, 200])
     lines = (job / "episodes.csv").read_text().splitlines()
     (job / "episodes.csv").write_text("\n".join(lines[:-3]) + "\n")
-    page, gaps = build_report([tmp_path], tmp_path / "out", resamples=99)
+    page, gaps = build_report([tmp_path], tmp_path / "out")
     assert re.search(r"train/softmax/episodes\.csv.*trials\.csv", gaps[0].why)
     assert not list((tmp_path / "out" / "figures").glob("*learning*"))
     assert "learning curves (not recorded)" in page.read_text()
@@ -183,5 +183,5 @@ def test_figures_of_others_in_the_folder_for_the_report_are_kept(tmp_path, make_
     kept = tmp_path / "out" / "figures" / "mine.png"
     kept.parent.mkdir(parents=True)
     kept.write_bytes(b"x")
-    build_report([tmp_path], tmp_path / "out", resamples=99)
+    build_report([tmp_path], tmp_path / "out")
     assert kept.exists()

@@ -122,7 +122,7 @@ def test_text_from_a_configuration_is_escaped(tmp_path, make_job):
     make_job(tmp_path / "train", "two", [150, 1000], strategy="softmax", env=EVIL)
     damaged = make_job(tmp_path / "train", "<b>bad<b>", [150])
     (damaged / "trials.csv").write_text("a\n1\n")
-    page, _ = build_report([tmp_path], tmp_path / "out", resamples=99)
+    page, _ = build_report([tmp_path], tmp_path / "out")
     html = page.read_text(encoding="utf-8")
     assert "<script>alert" not in html
     assert "<b>bad" not in html
@@ -132,14 +132,14 @@ def test_text_from_a_configuration_is_escaped(tmp_path, make_job):
 
 def test_an_experiment_cannot_lead_out_of_the_folder(tmp_path, make_job):
     make_job(tmp_path / "train", "one", [150, 200], experiment="../../evil")
-    build_report([tmp_path / "train"], tmp_path / "a" / "b" / "out", resamples=99)
+    build_report([tmp_path / "train"], tmp_path / "a" / "b" / "out")
     made = [p for p in (tmp_path / "a").rglob("*") if p.is_file()]
     assert all((tmp_path / "a" / "b" / "out") in p.parents for p in made)
 
 
 def test_a_report_made_twice_is_the_same_byte_for_byte(tmp_path, made):
     again = tmp_path / "again"
-    build_report([made.study], again, resamples=299)
+    build_report([made.study], again)
     assert contents(again) == contents(made.out)
 
 
@@ -154,7 +154,7 @@ def test_trials_too_few_to_find_anything_are_said_to_be(tmp_path, make_job):
         sweep = tmp_path / f"{n}" / "train"
         make_job(sweep, "fast", [150 + k for k in range(n)], strategy="softmax")
         make_job(sweep, "slow", [900 + 3 * k for k in range(n)], strategy="epsilon_greedy")
-        page, _ = build_report([sweep], tmp_path / f"out {n}", resamples=99)
+        page, _ = build_report([sweep], tmp_path / f"out {n}")
         pages.append(page.read_text(encoding="utf-8"))
     assert "5 trials are too few" in pages[0]
     assert "needs at least 6 trials of each configuration" in pages[0]
@@ -165,7 +165,7 @@ def test_trials_too_few_to_find_anything_are_said_to_be(tmp_path, make_job):
 
 def test_experiments_that_are_missing_are_not_measured(tmp_path, make_job):
     make_job(tmp_path / "train", "softmax", [150, 200])
-    page, _ = build_report([tmp_path], tmp_path / "out", resamples=99)
+    page, _ = build_report([tmp_path], tmp_path / "out")
     html = page.read_text(encoding="utf-8")
     assert f"{len(CLAIMS)} not measured" in html
     assert "Not shown: seconds of single trials" in html

@@ -168,7 +168,7 @@ def evil(tmp_path, make_job) -> Path:
 
 
 def test_texts_of_results_are_only_text_in_the_page(evil):
-    page, gaps = build_report([evil / "in"], evil / "out", resamples=99)
+    page, gaps = build_report([evil / "in"], evil / "out")
     assert len(gaps) == 1
     html = page.read_text(encoding="utf-8")
     parsed = Page()
@@ -182,7 +182,7 @@ def test_texts_of_results_are_only_text_in_the_page(evil):
 
 
 def test_texts_of_results_are_only_text_in_the_tables(evil):
-    build_report([evil / "in"], evil / "out", resamples=99)
+    build_report([evil / "in"], evil / "out")
     latex = [path.read_text(encoding="utf-8") for path in (evil / "out" / "tables").glob("*.tex")]
     markdown = [p.read_text(encoding="utf-8") for p in (evil / "out" / "tables").glob("*.md")]
     assert latex
@@ -212,7 +212,7 @@ def test_a_name_from_results_is_no_path(tmp_path, make_job, name):
         job = make_job(tmp_path / "in" / "sweep", f"job{k}", [150, 200 + k], parameters={"x": k})
         spoil(job, experiment=name, strategy=name)
     before = everything(tmp_path / "in")
-    build_report([tmp_path / "in"], tmp_path / "place" / "out", resamples=99)
+    build_report([tmp_path / "in"], tmp_path / "place" / "out")
     assert everything(tmp_path / "in") == before
     assert {p.name for p in tmp_path.iterdir()} == {"in", "place"}
     assert {p.name for p in (tmp_path / "place").iterdir()} == {"out"}
@@ -225,7 +225,7 @@ def test_a_name_from_results_is_no_path(tmp_path, make_job, name):
 def test_names_that_look_the_same_as_files_stay_apart(tmp_path, make_job):
     for name in ("a/b", "a-b"):
         spoil(make_job(tmp_path / name.replace("/", "_"), "job", [150, 200]), experiment=name)
-    page, _ = build_report([tmp_path], tmp_path / "out", resamples=99)
+    page, _ = build_report([tmp_path], tmp_path / "out")
     text = page.read_text(encoding="utf-8")
     assert text.count('id="a-b-1"') == text.count('id="a-b-2"') == 1
 
@@ -237,7 +237,7 @@ def test_timings_name_a_job_and_no_place(tmp_path, make_job):
     )
     loaded = load([tmp_path / "in"])
     assert loaded.jobs[0].timing is None
-    build_report([tmp_path / "in"], tmp_path / "out", resamples=99)
+    build_report([tmp_path / "in"], tmp_path / "out")
     assert {p.name for p in tmp_path.iterdir()} == {"in", "out"}
 
 
@@ -246,7 +246,7 @@ def test_a_report_is_not_written_through_a_link(tmp_path, make_job, what):
     """Results that come from elsewhere may hold links, where the report goes by default."""
     make_job(tmp_path / "in" / "train", "softmax", [150, 200])
     out, target = tmp_path / "in" / "report", tmp_path / "target"
-    build_report([tmp_path / "in"], out, resamples=99)
+    build_report([tmp_path / "in"], out)
     target.mkdir()
     (target / "kept").write_text("mine")
     if what == "figures/file":
@@ -258,7 +258,7 @@ def test_a_report_is_not_written_through_a_link(tmp_path, make_job, what):
         place = out / what
         place.rename(tmp_path / "old")
         place.symlink_to(target / "kept" if what == "index.html" else target)
-    build_report([tmp_path / "in"], out, resamples=99)
+    build_report([tmp_path / "in"], out)
     assert {p.name: p.read_text() for p in target.iterdir()} == {"kept": "mine"}
     assert not any(p.is_symlink() for p in out.rglob("*"))
 
@@ -268,7 +268,7 @@ def test_a_report_folder_that_is_a_link_is_refused(tmp_path, make_job):
     (tmp_path / "target").mkdir()
     (tmp_path / "in" / "report").symlink_to(tmp_path / "target")
     with pytest.raises(ResultsError, match="is a link"):
-        build_report([tmp_path / "in"], tmp_path / "in" / "report", resamples=99)
+        build_report([tmp_path / "in"], tmp_path / "in" / "report")
     assert list((tmp_path / "target").iterdir()) == []
 
 

@@ -28,9 +28,8 @@ def jobs(make, rng):
 
 
 def everything(jobs, **options):
-    rng = np.random.default_rng(0)
-    comparisons = compare_all(jobs, rng, resamples=999)
-    checked = check_claims(Study(jobs, resamples=999), rng)
+    comparisons = compare_all(jobs)
+    checked = check_claims(Study(jobs))
     return *answer(jobs, comparisons, **options), verdicts(checked)
 
 
@@ -69,8 +68,8 @@ def test_labels(jobs):
 
 
 def test_every_interval_states_its_level(jobs):
-    first, _ = answer(jobs, compare_all(jobs, np.random.default_rng(0), resamples=199))
-    assert first.count("95 % interval") == 2
+    first, _ = answer(jobs, compare_all(jobs))
+    assert len(re.findall(r"\d % interval", first)) == 2
 
 
 def test_one_and_no_configuration(jobs):
@@ -103,13 +102,13 @@ def test_verdicts_are_counted():
     assert verdicts(checked) == (
         "Of the thesis's 5 statements, 1 holds, 1 does not hold"
         f" (“{CLAIMS[1].statement.rstrip('.')}”), 2 are open at this number of trials"
-        " (settling all that have an estimate takes 1,200 trials per configuration)"
+        " (settling all that have an estimate takes 1,200 trials)"
         " and 1 was not measured."
     )
 
 
 def test_options_are_sorted_into_fewer_more_same_and_unclear(make, rng):
-    base = np.arange(20) + 200
+    base = np.arange(200) + 200
     cells, pairs = {}, []
     for row, other in (("a", base - 100), ("b", base + 50), ("c", base), ("d", base[::-1])):
         plain = make(base, name=f"{row}0", strategy=row)
@@ -117,8 +116,8 @@ def test_options_are_sorted_into_fewer_more_same_and_unclear(make, rng):
         cells |= {f"{row}0": (row, "none"), f"{row}1": (row, "ratio")}
         pairs.append((plain, changed))
     cells |= {"e0": ("e", "none"), "e1": ("e", "ratio")}
-    pairs.append(tuple(make([1000] * 20, name=n, strategy=n) for n in ("e0", "e1")))
-    (sentence,) = option_sentences(compare_pairs(pairs, rng, resamples=999), cells)
+    pairs.append(tuple(make([1000] * 200, name=n, strategy=n) for n in ("e0", "e1")))
+    (sentence,) = option_sentences(compare_pairs(pairs), cells)
     assert sentence == (
         "Ratio against none: fewer iterations under a (100); more iterations under b (50);"
         " identical trials under c; no trial passes with either under e;"
@@ -134,7 +133,7 @@ def test_a_plane_in_words(make, rng):
         make([1000] * 40, name="never", strategy="z"),
         make([300] * 20 + [1000] * 20, name="half", strategy="w"),
     ]
-    table = compare_pairs([(jobs[0], job) for job in jobs[1:]], rng, resamples=999)
+    table = compare_pairs([(jobs[0], job) for job in jobs[1:]])
     labels = {job.name: job.name.upper() for job in jobs}
     first, second = plane_sentences(jobs, table, labels)
     assert "Of 4 points, 2 pass in more than 80 % of trials and 1 in less than 20 %" in first

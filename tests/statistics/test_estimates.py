@@ -1,11 +1,12 @@
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from trl_explore.statistics.estimates import Estimate, pass_rate
+from trl_explore.statistics.estimates import Estimate, exact_rate, pass_rate
 
 
 def test_questions_about_an_interval():
@@ -71,3 +72,20 @@ def test_interval_contains_the_estimate_and_mirrors(n, data):
 def test_refuses(k, n, level, message):
     with pytest.raises(ValueError, match=message):
         pass_rate(k, n, level=level)
+
+
+@pytest.mark.parametrize(("k", "n"), [(0, 30), (3, 100), (30, 30), (500, 1000)])
+def test_the_exact_interval_agrees_with_scipy(k, n):
+    e = exact_rate(k, n)
+    ci = stats.binomtest(k, n).proportion_ci(0.95, "exact")
+    assert (e.value, e.low, e.high) == pytest.approx((k / n, ci.low, ci.high))
+
+
+@pytest.mark.parametrize("n", [30, 100, 1000])
+@pytest.mark.parametrize("p", [0.01, 0.5, 0.99])
+def test_each_exact_bound_errs_in_at_most_one_of_forty(n, p):
+    k = np.arange(n + 1)
+    chance = stats.binom.pmf(k, n, p)
+    low, high = np.array([(exact_rate(int(i), n).low, exact_rate(int(i), n).high) for i in k]).T
+    assert chance[low > p].sum() <= 0.025
+    assert chance[high < p].sum() <= 0.025

@@ -7,13 +7,11 @@ from statsmodels.duration.survfunc import SurvfuncRight, survdiff
 
 from trl_explore.statistics.estimates import pass_rate
 from trl_explore.statistics.survival import (
-    expected_running_time,
     kaplan_meier,
     logrank_test,
     median_time,
     number_at_risk,
     probability_faster,
-    restricted_mean,
 )
 
 # Freireich's remission times of leukaemia under 6-MP, the textbook example; 0 is censored.
@@ -157,85 +155,6 @@ def test_median_of_one_trial_is_open_to_both_sides():
     assert m.high == np.inf
 
 
-def test_restricted_mean_is_the_mean_when_the_cap_censors():
-    t, e = [100, 200, 600, 1000, 1000], [1, 1, 1, 0, 0]
-    value, error = restricted_mean(t, e, 1000)
-    assert value == pytest.approx(580.0)
-    assert error == pytest.approx(np.std(t, ddof=1) / np.sqrt(5))
-
-
-def test_restricted_mean_with_early_censoring_by_hand():
-    # Ŝ: 1 to 2, 3/4 to 4 (one censored at 3), 3/8 to 6: area 2 + 1.5 + 0.75.
-    value, error = restricted_mean([2, 3, 4, 6], [1, 0, 1, 0], 6)
-    assert value == pytest.approx(4.25)
-    # A(2) = 2.25, A(4) = 0.75; d / (n (n - d)): 1 / 12 and 1 / 2; factor 4 / 3.
-    assert error == pytest.approx(np.sqrt((2.25**2 / 12 + 0.75**2 / 2) * 4 / 3))
-
-
-def test_both_ways_to_the_restricted_mean_agree(monkeypatch):
-    # A censoring at 999.999 takes the integral, at 1000 the plain mean.
-    t, e = [100.0, 200.0, 600.0, 1000.0], [1, 1, 1, 0]
-    plain = restricted_mean(t, e, 1000)
-    integral = restricted_mean([100.0, 200.0, 600.0, 999.999], e, 999.9995 - 0.001)
-    assert integral == pytest.approx(plain, rel=1e-4)
-
-
-def test_restricted_mean_below_the_last_time():
-    assert restricted_mean([2, 4, 9], [1, 1, 1], 5)[0] == pytest.approx((2 + 4 + 5) / 3)
-
-
-def test_restricted_mean_degenerate():
-    value, error = restricted_mean([10], [False], 10)
-    assert value == 10
-    assert np.isnan(error)
-    assert restricted_mean([10, 10], [False, False], 10) == (10.0, 0.0)
-    assert restricted_mean([4, 4], [True, True], 10) == (4.0, 0.0)
-
-
-@pytest.mark.parametrize(("horizon", "message"), [(0, "horizon=0"), (11, "only until 10")])
-def test_restricted_mean_refuses(horizon, message):
-    with pytest.raises(ValueError, match=message):
-        restricted_mean([5, 10], [True, False], horizon)
-
-
-@settings(deadline=None)
-@given(st.lists(st.integers(1, 100), min_size=2, max_size=50))
-def test_restricted_mean_law(t):
-    t = np.minimum(np.array(t), 60)
-    value, error = restricted_mean(t, t < 60, 60)
-    assert value == pytest.approx(t.mean())
-    assert error == pytest.approx(t.std(ddof=1) / np.sqrt(len(t)), abs=1e-9)
-
-
-def test_expected_running_time(rng):
-    e = expected_running_time([100, 200, 1000, 1000], [1, 1, 0, 0], rng)
-    assert e.value == 2300 / 2
-    assert e.low < 1150 < e.high
-    # Of 4 draws, all fail with probability 1/16 > 2.5 %.
-    assert e.high == np.inf
-
-
-def test_expected_running_time_without_failures_is_the_mean(rng):
-    t = rng.integers(100, 300, size=50)
-    e = expected_running_time(t, np.ones(50), rng)
-    se = t.std(ddof=1) / np.sqrt(50)
-    assert e.value == pytest.approx(t.mean())
-    assert e.high - e.low == pytest.approx(2 * 1.96 * se, rel=0.08)
-
-
-def test_expected_running_time_without_success(rng):
-    e = expected_running_time([1000] * 30, [0] * 30, rng)
-    assert (e.value, e.high) == (np.inf, np.inf)
-    assert e.low == pytest.approx(1000 / 0.11351, rel=1e-3)
-    one = expected_running_time([1000], [0], rng)
-    assert one.value == np.inf
-    assert np.isnan(one.low)
-
-
-def split(data):
-    return np.array([d[0] for d in data]), np.array([d[1] for d in data])
-
-
 def test_logrank_agrees_with_statsmodels(rng):
     t_a, t_b = rng.integers(1, 40, size=35), rng.integers(5, 60, size=50)
     e_a, e_b = rng.random(35) < 0.7, rng.random(50) < 0.9
@@ -254,6 +173,10 @@ def test_logrank_agrees_with_statsmodels(rng):
 )
 def test_logrank_without_information_is_one(t_a, e_a, t_b, e_b):
     assert logrank_test(t_a, e_a, t_b, e_b) == 1.0
+
+
+def split(data):
+    return np.array([d[0] for d in data]), np.array([d[1] for d in data])
 
 
 @settings(deadline=None)

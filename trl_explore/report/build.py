@@ -20,20 +20,16 @@ from trl_explore.report.results_tables import (
     summary_table,
 )
 from trl_explore.report.tables import Table
-from trl_explore.statistics.bootstrap import RESAMPLES
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
 
 
-def build_report(
-    folders: Sequence[Path], out: Path, *, resamples: int = RESAMPLES
-) -> tuple[Path, list[Gap]]:
+def build_report(folders: Sequence[Path], out: Path) -> tuple[Path, list[Gap]]:
     """Write the report on every finished job at or below the folders.
 
     Args:
         folders: job or sweep folders, any number.
         out: folder of the report; ``figures/`` and ``tables/`` of an earlier report are replaced.
-        resamples: number of resamples of every bootstrap and permutation test.
 
     Returns:
         Path of the page, and what is missing from the report.
@@ -42,7 +38,7 @@ def build_report(
         ResultsError: there is nothing to report; the message is one line.
 
     """
-    evidence = gather(load(folders), resamples=resamples)
+    evidence = gather(load(folders))
     figures = {part.group.id: list(draw_all(part)) for part in evidence.groups}
     tables: dict[str, list[Table]] = {
         part.group.id: [

@@ -9,6 +9,7 @@ from typing import Any
 from trl_explore.report.evidence import Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
 from trl_explore.report.tables import Column, Record, Table
+from trl_explore.statistics.power import trials_text
 from trl_explore.statistics.summary import Summary
 from trl_explore.thesis import Checked
 from trl_explore.thesis.why import Reexamined
@@ -65,6 +66,9 @@ def claims_table(
             "definition": c.claim.definition,
             "evidence": c.finding.evidence,
             "trials_needed": c.finding.trials_needed,
+            "twin": c.twin,
+            "learned": c.learned.verdict if c.learned else None,
+            "learned_evidence": c.learned.evidence if c.learned else None,
         }
         for c in checked
     ]
@@ -74,9 +78,15 @@ def claims_table(
         Column("definition", "taken to mean", lambda r: r["definition"], wide=True),
         Column("evidence", "evidence", lambda r: r["evidence"], wide=True),
         Column("trials_needed", "trials to settle it",
-               lambda r: "" if r["trials_needed"] is None else f"{r['trials_needed']:,}", True),
+               lambda r: trials_text(r["trials_needed"]), True),
     ]  # fmt: skip
+    if any(r["twin"] for r in records):
+        columns.insert(1, Column("twin", "and what was learned", _twin, wide=True))
     return Table(id, title, columns, records, main=True, kind="claims")
+
+
+def _twin(r: Record) -> str:
+    return f"{r['twin']}\n{r['learned_evidence']}" if r["twin"] else "–"
 
 
 def why_tables(evidence: Evidence) -> list[Table]:
@@ -137,8 +147,9 @@ def crossed_table(part: GroupEvidence) -> Table:
                     "pass_rate": summary.pass_rate.value,
                     "pass_rate_low": summary.pass_rate.low,
                     "pass_rate_high": summary.pass_rate.high,
-                    "restricted_mean": summary.restricted_mean,
-                    "restricted_mean_se": summary.restricted_mean_se,
+                    "restricted_mean": summary.restricted_mean.value,
+                    "restricted_mean_low": summary.restricted_mean.low,
+                    "restricted_mean_high": summary.restricted_mean.high,
                     "median": summary.median.value,
                     "summary": _cell(summary),
                 }
@@ -193,7 +204,8 @@ def _verdict_column(key: str, title: str) -> Column:
 def _cell(s: Summary) -> str:
     middle = number(s.median.value) if s.median.value < float("inf") else "not reached"
     low, high = 100 * s.pass_rate.low, 100 * s.pass_rate.high
+    mean = s.restricted_mean
     return (
-        f"{s.converged} of {s.n} ({low:.0f} to {high:.0f} %)\nmean {s.restricted_mean:,.0f} ±"
-        f" {s.restricted_mean_se:,.0f}\nmedian {middle}"
+        f"{s.converged} of {s.n} ({low:.0f} to {high:.0f} %)\nmean {mean.value:,.0f}"
+        f" ({mean.low:,.0f} to {mean.high:,.0f})\nmedian {middle}"
     )

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-
-import numpy as np
 
 from trl_explore.names import experiment
 from trl_explore.report.cells import runs_of
@@ -22,19 +20,13 @@ from trl_explore.report.sentences import (
     score_sentence,
     verdicts,
 )
-from trl_explore.statistics.bootstrap import RESAMPLES, streams
-from trl_explore.statistics.comparisons import Comparison, compare_pairs
+from trl_explore.statistics.comparisons import SCORE, Comparison, compare_pairs
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import SharedTrials, shared_trials
 from trl_explore.statistics.power import fewest_pairs
-from trl_explore.statistics.scores import ScoreComparison, compare_scores
-from trl_explore.statistics.summary import Summary, summarise_all
+from trl_explore.statistics.summary import Summary, summarise
 from trl_explore.thesis import Checked, Study, check_claims, why
-
-SEED = 20170101
-"""Seed of all resampling, so that reports are reproducible."""
-FEWER_RESAMPLES, MANY_DRAWS = 1999, 3_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +45,7 @@ class GroupEvidence:
     incomparable: str
     sentences: tuple[str, ...]
     traces: Traces
-    resamples: int
-    scores: list[ScoreComparison]
+    scores: list[Comparison]
     learned: GroupEvidence | None = None
 
     @property
@@ -95,23 +86,20 @@ class Evidence:
         return sum(len(e.group.timed(c)[1]) for e in self.groups for c in e.group.configurations)
 
 
-def gather(loaded: Loaded, *, resamples: int = RESAMPLES) -> Evidence:
-    """Compute everything; each part has its own random stream, derived from its name."""
+def gather(loaded: Loaded) -> Evidence:
+    """Compute everything."""
     groups = group_jobs(loaded.jobs)
-    labels = ["claims", "why", "why: uncorrected", "why: corrected", *(g.id for g in groups)]
-    rngs = streams(np.random.default_rng(SEED), labels)
     gaps = list(loaded.gaps)
-    parts = [_group_evidence(g, rngs[g.id], resamples, gaps) for g in groups]
+    parts = [_group_evidence(g, gaps) for g in groups]
     outcomes = [job.outcomes for job in loaded.jobs]
     timed = {f"{j.outcomes.experiment}/{j.outcomes.name}": j.timing for j in reversed(loaded.jobs)}
     study = Study(
         outcomes,
         seconds={key: t.seconds for key, t in timed.items() if t is not None},
         timed_trials={key: t.trial for key, t in timed.items() if t is not None},
-        resamples=resamples,
     )
-    checked = check_claims(study, rngs["claims"])
-    reexamined, causes = _why(study, rngs)
+    checked = check_claims(study)
+    reexamined, causes = _why(study)
     runs = [run for part in parts for run in runs_of(part.group, part.traces.heights)]
     decompositions = decompose(runs)
     return Evidence(
@@ -127,52 +115,41 @@ def gather(loaded: Loaded, *, resamples: int = RESAMPLES) -> Evidence:
     )
 
 
-def _why(
-    study: Study, rngs: Mapping[str, np.random.Generator]
-) -> tuple[list[why.Reexamined], list[Checked]]:
+def _why(study: Study) -> tuple[list[why.Reexamined], list[Checked]]:
     if not any(experiment(o.experiment).why for o in study.outcomes):
         return [], []
-    twice = why.reexamine(study, rngs["why: uncorrected"], rngs["why: corrected"])
-    return twice, check_claims(study, rngs["why"], why.CLAIMS)
+    return why.reexamine(study), check_claims(study, why.CLAIMS)
 
 
-def _group_evidence(
-    group: Group, rng: np.random.Generator, resamples: int, gaps: list[Gap]
-) -> GroupEvidence:
+def _group_evidence(group: Group, gaps: list[Gap]) -> GroupEvidence:
     traces = Traces() if group.plane is not None else read_traces(group)
     gaps.extend(traces.gaps)
-    found = _measured(group, traces, rng, resamples)
+    found = _measured(group, traces)
     if not group.learned:
         return found
     learned = replace(group, configurations=list(group.learned), learned=())
-    by_learning = _measured(learned, traces, rng, resamples)
+    by_learning = _measured(learned, traces)
     said = tuple(
         f"Judged by what was learned, {s[:1].lower()}{s[1:]}" for s in by_learning.sentences
     )
     return replace(found, learned=by_learning, sentences=(*found.sentences, *said))
 
 
-def _measured(
-    group: Group, traces: Traces, rng: np.random.Generator, resamples: int
-) -> GroupEvidence:
+def _measured(group: Group, traces: Traces) -> GroupEvidence:
     """The results of a group by the measure of its configurations."""
     configurations = group.configurations
-    n, trials = len(configurations), max(len(c) for c in configurations)
     pairs = _pairs(group)
-    if len(pairs) * trials * resamples > MANY_DRAWS:
-        resamples = min(resamples, FEWER_RESAMPLES)
-    rngs = streams(rng, ["summaries", "comparisons", "scores"])
     comparisons: list[Comparison] = []
-    scores: list[ScoreComparison] = []
-    incomparable = "" if n > 1 else "there is only one configuration"
+    scores: list[Comparison] = []
+    incomparable = "" if len(configurations) > 1 else "there is only one configuration"
     try:
-        comparisons = compare_pairs(pairs, rngs["comparisons"], resamples=resamples)
-        scores = compare_scores(pairs, rngs["scores"], resamples=resamples)
+        comparisons = compare_pairs(pairs)
+        scores = compare_pairs(pairs, SCORE)
     except ValueError as error:
         incomparable = str(error)
     return GroupEvidence(
         group=group,
-        summaries=summarise_all(configurations, rngs["summaries"], resamples=resamples),
+        summaries=[summarise(c) for c in configurations],
         comparisons=comparisons,
         incomparable=incomparable,
         sentences=(
@@ -181,13 +158,12 @@ def _measured(
             *(_cut_short(group) or _too_few(comparisons)),
         ),
         traces=traces,
-        resamples=resamples,
         scores=scores,
     )
 
 
 def _scores_said(
-    group: Group, comparisons: Sequence[Comparison], scores: Sequence[ScoreComparison]
+    group: Group, comparisons: Sequence[Comparison], scores: Sequence[Comparison]
 ) -> tuple[str, ...]:
     if group.plane is not None:
         return ()

@@ -58,11 +58,9 @@ def _bias(found: Sequence[Decomposition]) -> str:
         elif p.separable:
             said.append(f"{percent(p.bias)} of {needs}")
         else:
-            said.append(
-                f"{percent(p.assumed)} of {needs} if the bias is added to softmax, but"
-                f" {percent(p.corrected)} if it is removed from {d.strategy}, so that bias and data"
-                " do not separate"
-            )
+            ways = [(p.corrected, f"removed from {d.strategy}"), (p.assumed, "added to softmax")]
+            low, high = (f"{percent(share)}, {how}," for share, how in sorted(ways, key=_value))
+            said.append(f"{low} to {high} of {needs}")
     if not said:
         return ""
     what = "learn" if any("learning" in d.parts for d in found) else "pass"
@@ -97,3 +95,7 @@ def _data(found: Sequence[Decomposition]) -> str:
 
 def _time(d: Decomposition) -> Parts | None:
     return d.parts.get("learning") or d.parts.get("passing")
+
+
+def _value(way: tuple[Estimate | None, str]) -> float:
+    return way[0].value if way[0] is not None else np.nan

@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from trl_explore.names import STRATEGIES, strategy_label
 from trl_explore.report.claims import claims_table, distance, tally
-from trl_explore.report.evidence import SEED, Evidence, GroupEvidence
+from trl_explore.report.evidence import Evidence, GroupEvidence
 from trl_explore.report.figures import Drawn, Picture
 from trl_explore.report.groups import Group
 from trl_explore.report.headline import headline
@@ -119,7 +119,6 @@ def page(content: Content) -> str:
         ),
         why=_why(content, hero),
         sections=[_section(part, content, hero) for part in parts],
-        resamples=evidence.groups[0].resamples,
         level=f"{100 * LEVEL:g} %",
         timed=evidence.timed,
         shared=[
@@ -228,6 +227,5 @@ def _provenance(evidence: Evidence) -> list[tuple[str, str]]:
         ("collectors", sorted({str(e.get("collector")) for e in source})),
         ("seeds of trials", sorted({str(e.get("seed")) for e in source})),
         ("caps", (f"{cap:,} iterations" for cap in sorted({o.cap for o in evidence.outcomes}))),
-        ("seed of all resampling", [str(SEED)]),
     ]
     return [(name, ", ".join(parts) or "not recorded") for name, parts in pairs]

@@ -13,7 +13,9 @@ from trl_explore.report.figures.axes import number
 from trl_explore.report.numbers import figure
 from trl_explore.report.tables import Column, Record, Table
 from trl_explore.statistics.estimates import flat
-from trl_explore.statistics.power import trials_for_difference
+from trl_explore.statistics.power import trials_text, trials_to_settle
+
+UNKNOWN = (-math.inf, math.inf)
 
 
 def summary_table(evidence: GroupEvidence) -> Table:
@@ -31,7 +33,7 @@ def summary_table(evidence: GroupEvidence) -> Table:
         Column("configuration", "configuration", lambda r: r["configuration"]),
         Column("pass_rate", "passed", _passed(""), True),
         Column("median", "median iterations", _interval("median", _count, "not reached"), True),
-        Column("restricted_mean", "mean iterations", _restricted(""), True),
+        Column("restricted_mean", "mean iterations", _interval("restricted_mean", _count), True),
         Column(
             "expected_running_time",
             "iterations per success",
@@ -46,7 +48,7 @@ def summary_table(evidence: GroupEvidence) -> Table:
         columns[2:2] = [Column("learned_pass_rate", "learned", _passed("learned_"), True)]
         columns[5:5] = [
             Column("learned_restricted_mean", "mean iterations to learning",
-                   _restricted("learned_"), True),
+                   _interval("learned_restricted_mean", _count), True),
         ]  # fmt: skip
         columns[8:8] = [
             Column("learned_score_mean", "learned score",
@@ -66,13 +68,13 @@ def comparison_table(evidence: GroupEvidence, *, learned: bool = False) -> Table
         learned: whether that is what was learned.
 
     """
-    labels, level = evidence.group.labels, evidence.strict_level
+    labels = evidence.group.labels
     short = {label: evidence.group.short(name) for name, label in labels.items()}
     by = f" {evidence.group.parameter}" if evidence.group.parameter else ""
     records = []
     scores = {(s.a, s.b): s for s in evidence.scores}
     for c in evidence.comparisons:
-        needed = trials_for_difference(c.sd, c.difference.value, level=level)
+        needed = trials_to_settle(c.difference, 0.0, min(c.n_a, c.n_b))
         record = {"experiment": evidence.group.experiment} | c.row()
         named = {"a": labels[c.a], "b": labels[c.b], "winner": labels.get(c.winner or "")}
         if (score := scores.get((c.a, c.b))) is not None:
@@ -87,7 +89,7 @@ def comparison_table(evidence: GroupEvidence, *, learned: bool = False) -> Table
         Column("p_holm", "p (Holm)", lambda r: _p(r["p_holm"]), True),
         Column("score_difference", "first − second, score", _difference, True),
         Column("p_logrank", "p (log-rank)", lambda r: _p(r["p_logrank"]), True),
-        Column("faster", "first is faster in", _interval("faster", _percent), True),
+        Column("better", "first is faster in", _interval("better", _percent), True),
         Column("variance_ratio", "variance kept by pairing",
                lambda r: _plain(r["variance_ratio"], 2), True),
         Column("n_a", "pairs or trials", lambda r: f"{min(r['n_a'], r['n_b']):,}", True),
@@ -169,8 +171,10 @@ def _interval(key: str, text: Any, infinite: str = "∞") -> Any:
         main = infinite if value == math.inf else text(value)
         if value is None or math.isnan(value):
             return "–"
-        if math.isnan(low) or math.isnan(high) or low == math.inf:
+        if math.isnan(low) or math.isnan(high) or low == math.inf or (low, high) == UNKNOWN:
             return main
+        if low == -math.inf:
+            return f"{main}\n{text(high)} or less"
         if high == math.inf:
             return f"{main}\n{text(low)} or more"
         return f"{main}\n{text(low)} to {text(high)}"
@@ -187,15 +191,6 @@ def _passed(measure: str) -> Callable[[Record], str]:
     return write
 
 
-def _restricted(measure: str) -> Callable[[Record], str]:
-    def write(r: Record) -> str:
-        error = r[f"{measure}restricted_mean_se"]
-        tail = "" if error is None or math.isnan(error) else f"\n± {error:,.0f}"
-        return f"{r[f'{measure}restricted_mean']:,.0f}{tail}"
-
-    return write
-
-
 def _seconds(r: Record) -> str:
     return f"{r['seconds_mean']:.3g}\n{r['timed']} timed" if r["timed"] else "–"
 
@@ -207,7 +202,7 @@ def _undecided(r: Record) -> str:
 
 
 def _needed(r: Record) -> str:
-    return "–" if r["trials_needed"] is None else f"{r['trials_needed']:,}"
+    return trials_text(r["trials_needed"], "–")
 
 
 def _count(x: float) -> str:

@@ -8,7 +8,7 @@ from trl_explore.report.numbers import figure, interval, negated
 from trl_explore.statistics.comparisons import Comparison
 from trl_explore.statistics.estimates import LEVEL, pass_rate
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.statistics.scores import ScoreComparison
+from trl_explore.statistics.power import trials_text
 from trl_explore.thesis import FAILS, HOLDS, NOT_MEASURED, OPEN, Checked
 
 MOST = 6
@@ -56,7 +56,7 @@ def verdicts(checked: Sequence[Checked]) -> str:
     parts.append(_count(len(refuted), "does not hold", "do not hold") + examples)
     needed = [c.finding.trials_needed for c in by[OPEN] if c.finding.trials_needed is not None]
     which = "it" if len(by[OPEN]) == 1 else "all that have an estimate"
-    settle = f" (settling {which} takes {max(needed):,} trials per configuration)" if needed else ""
+    settle = f" (settling {which} takes {trials_text(max(needed))} trials)" if needed else ""
     still = "open at this number of trials"
     parts.append(_count(len(by[OPEN]), f"is {still}", f"are {still}") + settle)
     missing = len(checked) - len(measured)
@@ -106,7 +106,7 @@ def option_sentences(
 
 def score_sentence(
     comparisons: Sequence[Comparison],
-    scores: Sequence[ScoreComparison],
+    scores: Sequence[Comparison],
     labels: Mapping[str, str],
     what: str = "final",
 ) -> str:
@@ -210,7 +210,8 @@ def _fastest(
         f" fastest of {len(configurations)} configurations:"
         f" it needs {best.durations.mean():.0f} iterations on average (restricted to the cap of"
         f" {best.cap}), {-sign * margin.difference.value:.0f} fewer than the next,"
-        f" {name[second.name]} ({100 * LEVEL:g} % interval {low:.0f} to {high:.0f}), and"
+        f" {name[second.name]} ({100 * margin.difference.level:.3g} % interval {low:.0f} to"
+        f" {high:.0f}), and"
         f" {_passes(best)}."
     )
 

@@ -1,126 +1,106 @@
-"""Difference of two means; comparison of two configurations; many pairs with Holm's correction."""
+"""Comparison of two configurations in one measure; many pairs with Holm's correction."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from math import inf
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trl_explore.statistics.bootstrap import RESAMPLES, bootstrap, mean, streams
+from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import LEVEL, Estimate, flat
-from trl_explore.statistics.outcomes import Outcomes, convergence_times
-from trl_explore.statistics.pairing import check_comparable, pair_indices, refuse_shared
-from trl_explore.statistics.permutation import (
-    label_permutation_test,
-    sign_flip_test,
-    two_samples,
-)
+from trl_explore.statistics.means import MeanDifference, mean_difference
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.pairing import check_comparable, refuse_shared
+from trl_explore.statistics.samples import Sample, common_trials
 from trl_explore.statistics.survival import logrank_test, probability_faster
 
 
 @dataclass(frozen=True)
-class MeanDifference:
-    """mean(x) - mean(y) with its uncertainty.
+class Measure:
+    """A quantity in which configurations are compared.
 
     Attributes:
-        estimate: the difference with its bootstrap interval.
-        p_value: two-sided; by sign flips if paired, otherwise by permuted labels.
-        n: number of pairs; if unpaired, the smaller sample size.
-        sd: standard deviation of a paired difference, or √(s_x² + s_y²) if unpaired; in both
-            designs the standard error with n trials each is about sd / √n.
-        correlation: Pearson's r of the pairs; NaN if unpaired or without variance.
-        variance_ratio: Var(x - y) / (Var x + Var y); a value below 1 means that pairing increases
-            precision like 1 / ratio times the trials. NaN as for the correlation.
+        name: ``iterations``, ``score``, ...
+        of: the sample of a configuration.
+        less_is_better: whether the smaller mean is the better one.
 
     """
 
-    estimate: Estimate
-    p_value: float
-    n: int
-    sd: float
-    correlation: float
-    variance_ratio: float
-
-    def sign(self) -> int:
-        """-1 or +1 if interval and test both exclude zero at the estimate's level, otherwise 0.
-
-        Both are required because, with few trials, the bootstrap interval is too short, and the
-        permutation test does not give the size of the difference.
-        """
-        return _sign(self.estimate, self.p_value)
+    name: str
+    of: Callable[[Outcomes], Sample]
+    less_is_better: bool = False
 
 
-def mean_difference(
-    x: ArrayLike,
-    y: ArrayLike,
-    rng: np.random.Generator,
-    *,
-    paired: bool,
-    level: float = LEVEL,
-    resamples: int = RESAMPLES,
-    tail: bool = False,
-) -> MeanDifference:
-    """Δ̂ = mean(x) - mean(y) with percentile bootstrap interval and permutation p-value.
+ITERATIONS = Measure("iterations", samples.iterations, less_is_better=True)
+"""Iterations to convergence, restricted to the cap."""
+SCORE = Measure("score", samples.scores)
+"""The final score; of outcomes that were judged by ``learned``, the learned score."""
 
-    Paired: pairs are resampled, and the signs of x_i - y_i flipped. Unpaired: each sample is
-    resampled separately, and the labels permuted. For ``tail`` see :func:`sign_flip_test`.
 
-    Raises:
-        ValueError: an empty sample, values that are not finite, or unequal lengths if paired.
+def area(curves: Mapping[str, ArrayLike], name: str = "area under the curve") -> Measure:
+    """The area under each trial's curve, divided by its length: the mean of the curve.
 
-    Source: Efron & Tibshirani, An Introduction to the Bootstrap (1993), ch. 8, 13 and 15.
+    A trial that stopped earlier than others keeps its last value.
 
-    >>> d = mean_difference([1, 2, 4], [2, 3, 5], np.random.default_rng(0), paired=True)
-    >>> d.estimate.value, d.p_value, d.variance_ratio
-    (-1.0, 0.25, 0.0)
+    Args:
+        curves: name of a configuration -> values at equal distances [n_trials, m], in the order of
+            its trials; NaN after a trial stopped.
+        name: name of the measure.
+
+    >>> a = area({"x": [[1.0, 3.0, np.nan], [2.0, 2.0, 2.0]]})
+    >>> held(np.array([[1.0, 3.0, np.nan]])).tolist()
+    [[1.0, 3.0, 3.0]]
 
     """
-    a, b = two_samples(x, y)
-    if not paired:
-        estimate = bootstrap(
-            lambda a, b: mean(a) - mean(b), [a, b], rng, level=level, resamples=resamples
-        )
-        p = label_permutation_test(a, b, rng, resamples=resamples, tail=tail)
-        n = min(len(a), len(b))
-        sd = float(np.sqrt(a.var(ddof=1) + b.var(ddof=1))) if n > 1 else np.nan
-        return MeanDifference(estimate, p, n, sd, np.nan, np.nan)
-    if len(a) != len(b):
-        raise ValueError(f"{len(a)} and {len(b)} values: pairs need the same number")
-    d, n = a - b, len(a)
-    estimate = bootstrap(mean, [d], rng, level=level, resamples=resamples)
-    p = sign_flip_test(d, rng, resamples=resamples, tail=tail)
-    sd = float(d.std(ddof=1)) if n > 1 else np.nan
-    if a.min() == a.max() or b.min() == b.max():
-        return MeanDifference(estimate, p, n, sd, np.nan, np.nan)
-    ratio = d.var(ddof=1) / (a.var(ddof=1) + b.var(ddof=1))
-    return MeanDifference(estimate, p, n, sd, float(np.corrcoef(a, b)[0, 1]), float(ratio))
+
+    def of(o: Outcomes) -> Sample:
+        values = held(np.asarray(curves[o.name], dtype=np.float64)).mean(axis=1)
+        score = samples.scores(replace(o, score=values))
+        # The kind of trials that stop early at a high score concerns the last window only.
+        return replace(score, kinds=score.kinds[:1])
+
+    return Measure(name, of)
+
+
+def held(curves: np.ndarray) -> np.ndarray:
+    """Curves [n, m] in which each NaN is replaced by the last value before it."""
+    where = np.where(np.isnan(curves), 0, np.arange(curves.shape[1]))
+    return np.take_along_axis(curves, np.maximum.accumulate(where, axis=1), axis=1)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of configurations ``a`` and ``b`` in iterations, restricted to the cap.
+    """Comparison of configurations ``a`` and ``b`` in the mean of one measure.
 
     Attributes:
         a: name of the first configuration.
         b: name of the second.
+        measure: name of the measure.
+        less_is_better: whether the smaller mean is the better one.
         design: ``paired`` (by seed and trial index, on the common trials), or ``unpaired`` if
             there are no common trials.
         n_a: number of compared trials of a.
         n_b: number of compared trials of b.
-        dropped: number of trials of a and b that were left out because they have no partner.
+        dropped: number of trials of a and b that were left out because they have no partner, or
+            no value.
         cap: the common cap, iterations.
-        mean_a: restricted mean of a over the compared trials, iterations.
+        mean_a: mean of a over the compared trials; of iterations, restricted to the cap.
         mean_b: the same for b.
-        difference: mean_a - mean_b with bootstrap interval, iterations; negative: a is faster.
-        p_value: permutation test of the difference (sign flips or labels), two-sided.
+        difference: mean_a - mean_b with interval. In a table of several pairs its level is that of
+            the pair's step in Holm's procedure, so that it excludes zero if and only if the
+            difference is significant.
+        p_value: two-sided test of the difference, the dual of its interval.
         p_holm: ``p_value`` after Holm's correction for all pairs of the table.
-        p_logrank: log-rank test on the same trials, as an additional check; it ignores pairing.
-        faster: probability that a converges before b; ties (also both censored) count half.
-        correlation: Pearson's r of the paired times; NaN if undefined.
+        p_logrank: for iterations, the log-rank test on the same trials, as an additional check; it
+            ignores pairing. Otherwise NaN.
+        better: probability that a trial of a does better than one of b; ties count half. Of
+            iterations: that a converges first; two trials that do not converge are tied.
+        correlation: Pearson's r of the pairs; NaN if undefined.
         variance_ratio: Var(a - b) / (Var a + Var b); below 1 pairing helps. NaN if undefined.
         sd: standard deviation of a paired difference, for the functions of ``power``.
 
@@ -128,6 +108,8 @@ class Comparison:
 
     a: str
     b: str
+    measure: str
+    less_is_better: bool
     design: str
     n_a: int
     n_b: int
@@ -139,15 +121,17 @@ class Comparison:
     p_value: float
     p_holm: float
     p_logrank: float
-    faster: Estimate
+    better: Estimate
     correlation: float
     variance_ratio: float
     sd: float
 
     @property
     def winner(self) -> str | None:
-        """The faster configuration if interval and corrected test both exclude zero, or None."""
-        return {-1: self.a, 1: self.b}.get(_sign(self.difference, self.p_holm))
+        """The better configuration if the interval excludes zero, or None."""
+        first = self.difference.below(0.0) if self.less_is_better else self.difference.above(0.0)
+        second = self.difference.above(0.0) if self.less_is_better else self.difference.below(0.0)
+        return self.a if first else self.b if second else None
 
     def row(self) -> dict[str, Any]:
         """Flat dictionary for a table; each estimate as ``x``, ``x_low``, ``x_high``."""
@@ -155,63 +139,23 @@ class Comparison:
 
 
 def compare(
-    a: Outcomes,
-    b: Outcomes,
-    rng: np.random.Generator,
-    *,
-    level: float = LEVEL,
-    resamples: int = RESAMPLES,
-    tail: bool = False,
+    a: Outcomes, b: Outcomes, measure: Measure = ITERATIONS, *, level: float = LEVEL
 ) -> Comparison:
-    """Compare the times to convergence of two configurations on their common trials.
-
-    Δ = E[min(T_a, cap)] - E[min(T_b, cap)]   (difference of restricted means)
+    """Compare two configurations on their common trials: Δ = E[measure of a] - E[measure of b].
 
     Raises:
-        ValueError: different cap, threshold or window; the same trials of the same
-            configuration on both sides; unfinished jobs (see ``convergence_times``).
+        ValueError: for times, different cap, threshold or window, or unfinished jobs (see
+            ``convergence_times``); the same trials of the same configuration on both sides.
 
     Source: Royston & Parmar (2013) for the restricted mean; Colas et al., A Hitchhiker's Guide
     to Statistical Comparisons of Reinforcement Learning Algorithms (2019) for the tests.
 
     """
-    check_comparable(a, b)
-    refuse_shared([a, b])
-    (t_a, e_a), (t_b, e_b) = convergence_times(a), convergence_times(b)
-    i, j = pair_indices(a, b)
-    paired = len(i) > 0
-    if paired:
-        t_a, e_a, t_b, e_b = t_a[i], e_a[i], t_b[j], e_b[j]
-    result = mean_difference(
-        t_a, t_b, rng, paired=paired, level=level, resamples=resamples, tail=tail
-    )
-    return Comparison(
-        a=a.name,
-        b=b.name,
-        design="paired" if paired else "unpaired",
-        n_a=len(t_a),
-        n_b=len(t_b),
-        dropped=len(a) + len(b) - len(t_a) - len(t_b),
-        cap=a.cap,
-        mean_a=float(t_a.mean()),
-        mean_b=float(t_b.mean()),
-        difference=result.estimate,
-        p_value=result.p_value,
-        p_holm=result.p_value,
-        p_logrank=logrank_test(t_a, e_a, t_b, e_b),
-        faster=probability_faster(t_a, e_a, t_b, e_b, paired=paired, level=level),
-        correlation=result.correlation,
-        variance_ratio=result.variance_ratio,
-        sd=result.sd,
-    )
+    return _compared(a, b, measure, level)[0]
 
 
 def compare_all(
-    configurations: Sequence[Outcomes],
-    rng: np.random.Generator,
-    *,
-    level: float = LEVEL,
-    resamples: int = RESAMPLES,
+    configurations: Sequence[Outcomes], measure: Measure = ITERATIONS, *, level: float = LEVEL
 ) -> list[Comparison]:
     """Compare all pairs of configurations, in order, with ``p_holm`` over all pairs.
 
@@ -225,17 +169,14 @@ def compare_all(
     if len(set(names)) < len(names):
         twice = next(name for i, name in enumerate(names) if name in names[:i])
         raise ValueError(f"two configurations are named {twice!r}: a table needs unique names")
-    return compare_pairs(
-        list(combinations(configurations, 2)), rng, level=level, resamples=resamples
-    )
+    return compare_pairs(list(combinations(configurations, 2)), measure, level=level)
 
 
 def compare_pairs(
     pairs: Sequence[tuple[Outcomes, Outcomes]],
-    rng: np.random.Generator,
+    measure: Measure = ITERATIONS,
     *,
     level: float = LEVEL,
-    resamples: int = RESAMPLES,
 ) -> list[Comparison]:
     """Compare planned pairs, with ``p_holm`` over these pairs only.
 
@@ -243,15 +184,56 @@ def compare_pairs(
         ValueError: as :func:`compare`.
 
     """
-    rngs = streams(rng, [f"{a.name} | {b.name}" for a, b in pairs])
-    # With too many pairs, even the smallest Monte Carlo p is not significant after correction.
-    tail = len(pairs) > (1.0 - level) * (1 + resamples)
-    table = [
-        compare(a, b, rngs[f"{a.name} | {b.name}"], level=level, resamples=resamples, tail=tail)
-        for a, b in pairs
+    table = [_compared(a, b, measure, level) for a, b in pairs]
+    p = [comparison.p_value for comparison, _ in table]
+    return [
+        replace(comparison, p_holm=corrected, difference=result.at(step))
+        for (comparison, result), corrected, step in zip(
+            table, holm(p), holm_levels(p, level), strict=True
+        )
     ]
-    corrected = holm([c.p_value for c in table])
-    return [replace(c, p_holm=float(p)) for c, p in zip(table, corrected, strict=True)]
+
+
+def _compared(
+    a: Outcomes, b: Outcomes, measure: Measure, level: float
+) -> tuple[Comparison, MeanDifference]:
+    if measure.less_is_better:
+        check_comparable(a, b)
+    refuse_shared([a, b])
+    first, second = measure.of(a), measure.of(b)
+    x, y, paired = common_trials(first, second)
+    result = mean_difference(x, y, level=level)
+    if measure.less_is_better:
+        times = [(s.values, s.converged) for s in (x, y)]
+        p_logrank = logrank_test(*times[0], *times[1])
+        better = probability_faster(*times[0], *times[1], paired=paired, level=level)
+    else:
+        p_logrank, always = np.nan, [np.ones(len(s), dtype=bool) for s in (x, y)]
+        better = probability_faster(
+            -x.values, always[0], -y.values, always[1], paired=paired, level=level
+        )
+    comparison = Comparison(
+        a=a.name,
+        b=b.name,
+        measure=measure.name,
+        less_is_better=measure.less_is_better,
+        design="paired" if paired else "unpaired",
+        n_a=len(x),
+        n_b=len(y),
+        dropped=len(a) + len(b) - len(x) - len(y),
+        cap=a.cap,
+        mean_a=float(x.values.mean()),
+        mean_b=float(y.values.mean()),
+        difference=result.estimate,
+        p_value=result.p_value,
+        p_holm=result.p_value,
+        p_logrank=p_logrank,
+        better=better,
+        correlation=result.correlation,
+        variance_ratio=result.variance_ratio,
+        sd=result.sd,
+    )
+    return comparison, result
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
@@ -275,3 +257,23 @@ def _sign(difference: Estimate, p_value: float) -> int:
     if not p_value <= 1.0 - difference.level + 1e-12:
         return 0
     return int(difference.above(0.0)) - int(difference.below(0.0))
+
+
+def holm_levels(p_values: Sequence[float], level: float = LEVEL) -> list[float]:
+    """The confidence level of each test's step in Holm's procedure.
+
+    1 - α / (m - k + 1) for the k-th smallest of m p-values; after the first test that is not
+    rejected, its level for all the rest. An interval of that level excludes zero if and only if
+    Holm rejects.
+
+    >>> [round(1 - x, 4) for x in holm_levels([0.01, 0.04, 0.03])]
+    [0.0167, 0.025, 0.025]
+    """
+    p, alpha = np.asarray(p_values, dtype=np.float64), 1.0 - level
+    levels, stopped = np.empty(len(p)), inf
+    for step, i in enumerate(np.argsort(p, kind="stable")):
+        size = min(alpha / (len(p) - step), stopped)
+        if p[i] > size:
+            stopped = size
+        levels[i] = 1.0 - size
+    return levels.tolist()

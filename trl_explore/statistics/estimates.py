@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import sqrt
+from math import floor, inf, log10, sqrt
 from typing import Any
 
 from scipy import stats
@@ -87,14 +87,57 @@ def pass_rate(successes: float, trials: int, *, level: float = LEVEL) -> Estimat
         raise ValueError(f"trials={trials}: a proportion needs at least one trial")
     if not 0 <= successes <= trials:
         raise ValueError(f"successes={successes}: between 0 and trials={trials} are possible")
-    p, n, z = successes / trials, trials, normal_quantile(level)
+    low, high = wilson(successes, trials, normal_quantile(level))
+    return Estimate(successes / trials, low, high, level)
+
+
+def wilson(successes: float, trials: int, z: float) -> tuple[float, float]:
+    """Bounds of Wilson's interval with ``z`` standard errors; see :func:`pass_rate`."""
+    p, n = successes / trials, trials
     scale = 1 + z**2 / n
     center = (p + z**2 / (2 * n)) / scale
     width = z * sqrt(p * (1.0 - p) / n + z**2 / (4.0 * n**2)) / scale
     # At k = 0 and k = n the bound is exactly 0 or 1; the formula has a rounding error of 1e-17.
-    low = 0.0 if successes == 0 else center - width
-    high = 1.0 if successes == trials else center + width
-    return Estimate(p, low, high, level)
+    return (0.0 if successes == 0 else center - width, 1.0 if successes == n else center + width)
+
+
+def exact_rate(successes: float, trials: int, *, level: float = LEVEL) -> Estimate:
+    """Binomial proportion p̂ = k / n with the exact interval of Clopper and Pearson.
+
+    [B((1 - level)/2; k, n - k + 1), B((1 + level)/2; k + 1, n - k)],  B: quantile of Beta(a, b)
+
+    Each bound errs in at most (1 - level)/2 of samples at every p and n, which Wilson's bounds do
+    not near 0 and 1: the choice where a rate is compared with a margin such as 1 %. k need not be
+    an integer.
+
+    Raises:
+        ValueError: as :func:`pass_rate`.
+
+    Source: Clopper & Pearson, Biometrika 26 (1934).
+
+    >>> round(exact_rate(0, 30).high, 3), round(exact_rate(30, 30).low, 3)
+    (0.116, 0.884)
+
+    """
+    value, tail = pass_rate(successes, trials, level=level).value, (1.0 - level) / 2.0
+    k, n = successes, trials
+    low = 0.0 if k == 0 else float(stats.beta.ppf(tail, k, n - k + 1))
+    high = 1.0 if k == n else float(stats.beta.isf(tail, k + 1, n - k))
+    return Estimate(value, low, high, level)
+
+
+def decimals(e: Estimate) -> int:
+    """Decimal places that show two significant digits of the interval's length, 0 to 6.
+
+    Without a length, those that show three digits of the value.
+
+    >>> decimals(Estimate(0.5, 0.4, 0.6)), decimals(Estimate(500.0, 400.0, 600.0))
+    (2, 0)
+    """
+    length = e.high - e.low
+    if not 0 < length < inf:
+        return min(max(2 - floor(log10(abs(e.value))), 0), 6) if 0 < abs(e.value) < inf else 0
+    return min(max(1 - floor(log10(length)), 0), 6)
 
 
 def flat(values: Mapping[str, Any]) -> dict[str, Any]:

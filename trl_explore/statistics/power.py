@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from trl_explore.statistics.estimates import LEVEL, check_level
+from trl_explore.statistics.estimates import LEVEL, Estimate, check_level
 
 POWER = 0.80
-# Larger numbers of trials are reported as None.
-MOST_TRIALS = 100_000_000
+MOST_TRIALS = 100_000
+"""More trials of each configuration than that are "more than can be run", ``inf``."""
 
 
 def detectable_difference(
@@ -45,11 +45,11 @@ def detectable_difference(
 
 def trials_for_difference(
     sd: float, difference: float, *, power: float = POWER, level: float = LEVEL
-) -> int | None:
+) -> float | None:
     """Pairs needed to detect a difference of means: n = ⌈((z_{1-α/2} + z_power) sd / δ)²⌉.
 
-    At least :func:`fewest_pairs`, because with fewer a permutation test is never significant. None
-    if more than 10⁸ trials are needed, or if the ``difference`` δ is 0 or NaN.
+    At least :func:`fewest_pairs`, because with fewer no difference is significant. ``inf`` if more
+    than ``MOST_TRIALS`` are needed; None if the ``difference`` δ is 0 or NaN.
 
     Source: Lachin, Controlled Clinical Trials 2 (1981).
 
@@ -60,15 +60,49 @@ def trials_for_difference(
     z = sum(_z(power, level))
     if not (math.isfinite(sd) and math.isfinite(difference)) or difference == 0:
         return None
-    n = _whole((z * sd / difference) ** 2)
-    return None if n is None else max(n, fewest_pairs(level))
+    return max(_whole((z * sd / difference) ** 2), fewest_pairs(level))
+
+
+def trials_to_settle(
+    estimate: Estimate, bound: float, n: int, *, power: float = POWER
+) -> float | None:
+    """Trials after which the interval of an estimate from n trials would exclude ``bound``.
+
+    n' = ⌈n ((z_{1-α/2} + z_power) / z_{1-α/2} · h / |θ̂ - bound|)²⌉, with h the distance from θ̂ to
+    the end of its interval on the side of the bound, and α that of the interval
+
+    ``inf`` if more than ``MOST_TRIALS`` are needed. None if there is no interval, or if θ̂ is within
+    one standard error (h / z) of the bound: n' is then noise, because θ̂ may lie anywhere near it.
+
+    >>> trials_to_settle(Estimate(50.0, -10.0, 110.0), 0.0, 20)
+    59
+    """
+    z, z_power = _z(power, estimate.level)
+    gap = estimate.value - bound
+    h = estimate.value - estimate.low if gap > 0 else estimate.high - estimate.value
+    if not math.isfinite(h) or abs(gap) <= h / z:
+        return None
+    return _whole(n * ((z + z_power) / z * h / gap) ** 2)
+
+
+def trials_text(n: float | None, unknown: str = "") -> str:
+    """Write a number of trials for a table.
+
+    >>> trials_text(1234), trials_text(math.inf), trials_text(None)
+    ('1,200', 'more than 100,000', '')
+    """
+    if n is None:
+        return unknown
+    if n == math.inf:
+        return f"more than {MOST_TRIALS:,}"
+    return f"{float(f'{n:.2g}'):,.0f}"
 
 
 def fewest_pairs(level: float = LEVEL) -> int:
-    """Fewest pairs for a significant sign-flip test: 2 / 2^n ≤ α, n = ⌈1 + log₂ 1/α⌉.
+    """Fewest pairs for a significant difference: 2 / 2^n ≤ α, n = ⌈1 + log₂ 1/α⌉.
 
-    The smallest p of a two-sided test of n pairs is 2 / 2^n, if all differences have the same
-    sign.
+    2 / 2^n is the smallest p of a two-sided test of n pairs that assumes nothing of their
+    distribution, if all differences have the same sign.
 
     >>> fewest_pairs(0.95), fewest_pairs(1 - 0.05 / 10)
     (6, 9)
@@ -79,7 +113,7 @@ def fewest_pairs(level: float = LEVEL) -> int:
 
 def trials_for_rate_bound(
     rate: float, bound: float, *, power: float = POWER, level: float = LEVEL
-) -> int | None:
+) -> float | None:
     """Trials after which Wilson's interval around ``rate`` would exclude ``bound``.
 
     n = ⌈(z_{1-α/2} √(p₀(1-p₀)) + z_power √(p(1-p)))² / (p - p₀)²⌉ for p₀ = bound. At p = 0
@@ -103,9 +137,9 @@ def trials_for_rate_bound(
     return None if rate == bound else _whole((z_sd / (rate - bound)) ** 2)
 
 
-def _whole(n: float) -> int | None:
+def _whole(n: float) -> float:
     # 1e-9 corrects results that rounding moved just above an integer.
-    return max(2, math.ceil(n - 1e-9)) if n <= MOST_TRIALS else None
+    return max(2, math.ceil(n - 1e-9)) if n <= MOST_TRIALS else math.inf
 
 
 def _z(power: float, level: float) -> tuple[float, float]:

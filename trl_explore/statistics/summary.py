@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,15 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from trl_explore.statistics.bootstrap import RESAMPLES, bootstrap, mean, streams
-from trl_explore.statistics.estimates import LEVEL, Estimate, flat, pass_rate
+from trl_explore.statistics import samples
+from trl_explore.statistics.estimates import LEVEL, Estimate, check_level, flat, pass_rate
+from trl_explore.statistics.means import mean_interval, time_per_success
 from trl_explore.statistics.outcomes import Outcomes, convergence_times
-from trl_explore.statistics.survival import (
-    expected_running_time,
-    kaplan_meier,
-    median_time,
-    restricted_mean,
-)
+from trl_explore.statistics.samples import Sample
+from trl_explore.statistics.survival import kaplan_meier, median_time
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
@@ -30,8 +27,8 @@ class ScoreSummary:
     Attributes:
         n: trials with a finite score.
         missing: trials without a finite score (they diverged before they had one), not included.
-        mean: mean with bootstrap interval.
-        iqm: interquartile mean with bootstrap interval.
+        mean: mean with interval.
+        iqm: interquartile mean with interval.
         sd: standard deviation (n - 1); NaN for one trial.
         quantiles: quantiles [5] at the probabilities ``QUANTILES``, by linear interpolation.
 
@@ -45,43 +42,53 @@ class ScoreSummary:
     quantiles: NDArray[np.float64]
 
 
-def interquartile_mean(scores: ArrayLike) -> Any:
-    """Mean of the middle half: ⌊n/4⌋ values are removed at each end of the last axis.
+def interquartile_mean(values: ArrayLike, *, level: float = LEVEL) -> Estimate:
+    """Mean of the middle half of values [n], with the interval of Tukey and McLaughlin.
 
-    Source: Agarwal et al., Deep RL at the Edge of the Statistical Precipice (2021), §4.3.
+    ⌊n/4⌋ values are removed at each end; x̄ ± t s_w / (½ √n) with the winsorised standard
+    deviation s_w. A few trials cannot move it. NaN bounds with fewer than three values left.
 
-    >>> float(interquartile_mean([0.0, 2.0, 4.0, 1000.0]))
+    Source: Agarwal et al., Deep RL at the Edge of the Statistical Precipice (2021), §4.3; Tukey &
+    McLaughlin, Sankhyā A 25 (1963); ``scipy.stats.mstats.trimmed_mean_ci``.
+
+    >>> interquartile_mean([0.0, 2.0, 4.0, 1000.0]).value
     3.0
 
     """
-    return stats.trim_mean(np.asarray(scores, dtype=np.float64), 0.25, axis=-1)
+    check_level(level)
+    x = np.asarray(values, dtype=np.float64)
+    value = float(stats.trim_mean(x, 0.25))
+    if len(x) - 2 * (len(x) // 4) < 3:
+        return Estimate(value, np.nan, np.nan, level)
+    low, high = stats.mstats.trimmed_mean_ci(x, (0.25, 0.25), alpha=1.0 - level)
+    return Estimate(value, float(low), float(high), level)
 
 
 def summarise_scores(
-    scores: ArrayLike,
-    rng: np.random.Generator,
-    *,
-    level: float = LEVEL,
-    resamples: int = RESAMPLES,
+    scores: Sample, *, trials: int | None = None, level: float = LEVEL
 ) -> ScoreSummary:
-    """Mean, interquartile mean and quantiles of final scores [n]; NaN scores are left out.
+    """Mean, interquartile mean and quantiles of final scores.
 
-    >>> summarise_scores([1.0, 2.0, 3.0, 4.0], np.random.default_rng(0)).iqm.value
+    Args:
+        scores: the scores of the trials that have one.
+        trials: number of all trials; by default, all have a score.
+        level: confidence level.
+
+    >>> summarise_scores(Sample.of([1.0, 2.0, 3.0, 4.0])).iqm.value
     2.5
     """
-    values = np.asarray(scores, dtype=np.float64)
-    finite = values[np.isfinite(values)]
-    missing = len(values) - len(finite)
-    if len(finite) == 0:
+    values = scores.values
+    missing = 0 if trials is None else trials - len(values)
+    if len(values) == 0:
         nothing = Estimate(np.nan, np.nan, np.nan, level)
         return ScoreSummary(0, missing, nothing, nothing, np.nan, np.full(5, np.nan))
     return ScoreSummary(
-        n=len(finite),
+        n=len(values),
         missing=missing,
-        mean=bootstrap(mean, [finite], rng, level=level, resamples=resamples),
-        iqm=bootstrap(interquartile_mean, [finite], rng, level=level, resamples=resamples),
-        sd=float(finite.std(ddof=1)) if len(finite) > 1 else np.nan,
-        quantiles=np.quantile(finite, QUANTILES),
+        mean=mean_interval(scores, level=level),
+        iqm=interquartile_mean(values, level=level),
+        sd=float(values.std(ddof=1)) if len(values) > 1 else np.nan,
+        quantiles=np.quantile(values, QUANTILES),
     )
 
 
@@ -101,11 +108,10 @@ class Summary:
         pass_rate: share of trials that converged, with Wilson interval.
         median: Kaplan-Meier median of iterations; ``inf``: not reached.
         restricted_mean: E[min(T, cap)], iterations.
-        restricted_mean_se: its standard error, iterations; NaN for one trial.
         expected_running_time: iterations per success with restarts; ``inf``: none converged.
         score: distribution of the final scores.
         frames_median: median frames to convergence; ``inf``: not reached.
-        frames_mean: mean frames until a trial stopped, converged or not, with bootstrap interval.
+        frames_mean: mean frames until a trial stopped, converged or not, with interval.
         frames_total: total frames of all trials.
 
     """
@@ -120,8 +126,7 @@ class Summary:
     cap: int
     pass_rate: Estimate
     median: Estimate
-    restricted_mean: float
-    restricted_mean_se: float
+    restricted_mean: Estimate
     expected_running_time: Estimate
     score: ScoreSummary
     frames_median: Estimate
@@ -134,7 +139,7 @@ class Summary:
             key: getattr(self, key)
             for key in (
                 "experiment", "name", "strategy", "n", "converged", "diverged", "cap", "pass_rate",
-                "median", "restricted_mean", "restricted_mean_se", "expected_running_time",
+                "median", "restricted_mean", "expected_running_time",
             )
         }  # fmt: skip
         row |= {"score_mean": self.score.mean, "score_iqm": self.score.iqm}
@@ -144,13 +149,7 @@ class Summary:
         return flat(row) | {"frames_total": self.frames_total}
 
 
-def summarise(
-    outcomes: Outcomes,
-    rng: np.random.Generator,
-    *,
-    level: float = LEVEL,
-    resamples: int = RESAMPLES,
-) -> Summary:
+def summarise(outcomes: Outcomes, *, level: float = LEVEL) -> Summary:
     """All statistics of one configuration; see the functions that compute them.
 
     Raises:
@@ -158,8 +157,7 @@ def summarise(
 
     """
     durations, converged = convergence_times(outcomes)
-    restricted, error = restricted_mean(durations, converged, outcomes.cap)
-    frames = outcomes.frames.astype(np.float64)
+    times = samples.iterations(outcomes)
     return Summary(
         name=outcomes.name,
         experiment=outcomes.experiment,
@@ -171,30 +169,12 @@ def summarise(
         cap=outcomes.cap,
         pass_rate=pass_rate(int(converged.sum()), len(outcomes), level=level),
         median=median_time(kaplan_meier(durations, converged, level=level)),
-        restricted_mean=restricted,
-        restricted_mean_se=error,
-        expected_running_time=expected_running_time(
-            durations, converged, rng, level=level, resamples=resamples
-        ),
-        score=summarise_scores(outcomes.score, rng, level=level, resamples=resamples),
+        restricted_mean=mean_interval(times, level=level),
+        expected_running_time=time_per_success(times, level=level),
+        score=summarise_scores(samples.scores(outcomes), trials=len(outcomes), level=level),
         frames_median=median_time(
             kaplan_meier(*convergence_times(outcomes, "frames"), level=level)
         ),
-        frames_mean=bootstrap(mean, [frames], rng, level=level, resamples=resamples),
+        frames_mean=mean_interval(samples.frames(outcomes), level=level),
         frames_total=int(outcomes.frames.sum()),
     )
-
-
-def summarise_all(
-    configurations: Sequence[Outcomes],
-    rng: np.random.Generator,
-    *,
-    level: float = LEVEL,
-    resamples: int = RESAMPLES,
-) -> list[Summary]:
-    """One summary per configuration; a summary does not depend on the other configurations."""
-    rngs = streams(rng, [f"{c.experiment}/{c.name}" for c in configurations])
-    return [
-        summarise(c, rngs[f"{c.experiment}/{c.name}"], level=level, resamples=resamples)
-        for c in configurations
-    ]

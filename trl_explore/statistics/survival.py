@@ -1,7 +1,7 @@
 """Right-censored times to convergence.
 
-Kaplan-Meier curve, median, restricted mean and expected running time of one sample; log-rank test
-and probability of being faster for two samples.
+Kaplan-Meier curve and median of one sample; log-rank test and probability of being faster for two
+samples. Means of times are in ``means``.
 
 A sample is ``durations`` [n], the times to convergence or censoring, positive and in any unit, and
 ``converged`` [n], whether each trial converged.
@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from trl_explore.statistics.bootstrap import RESAMPLES, bootstrap
 from trl_explore.statistics.estimates import (
     LEVEL,
     Estimate,
@@ -136,82 +134,6 @@ def median_time(curve: SurvivalCurve) -> Estimate:
         for reached in (band <= 0.5 + 1e-12 for band in (curve.survival, curve.low, curve.high))
     )
     return Estimate(value, low, high, curve.level)
-
-
-def restricted_mean(
-    durations: ArrayLike, converged: ArrayLike, horizon: float
-) -> tuple[float, float]:
-    """Restricted mean survival time E[min(T, τ)] with its standard error.
-
-    μ̂ = ∫₀^τ Ŝ(t) dt,   Var μ̂ = n/(n-1) Σ_i (∫_{t_i}^τ Ŝ)² d_i / (n_i (n_i - d_i))
-
-    If trials are censored only at τ, as with a cap, these are exactly the mean and s/√n of
-    min(T, τ). The error of a single trial is NaN.
-
-    Raises:
-        ValueError: as :func:`kaplan_meier`; a ``horizon`` τ that is not positive, or that exceeds
-            the last duration although trials were censored there (Ŝ is unknown after it).
-
-    Source: Royston & Parmar, BMC Medical Research Methodology 13 (2013).
-
-    >>> restricted_mean([100, 200, 1000], [True, True, False], 1000)[0]
-    433.3333333333333
-
-    """
-    t, e = _check(durations, converged)
-    if not horizon > 0:
-        raise ValueError(f"horizon={horizon}: a positive time is needed")
-    if horizon > t.max() and not e[t == t.max()].all():
-        raise ValueError(f"horizon={horizon}: trials are followed only until {t.max():g}")
-    t, e = np.minimum(t, horizon), e & (t <= horizon)
-    if e.all() or t[~e].min() >= horizon:
-        # No censoring before the horizon: the plain mean avoids the rounding of the integral.
-        error = t.std(ddof=1) / np.sqrt(len(t)) if len(t) > 1 else np.nan
-        return float(t.mean()), float(error)
-    curve = kaplan_meier(t, e)
-    widths = np.diff(np.append(curve.times, horizon))
-    beyond = np.cumsum((curve.survival * widths)[::-1])[::-1]
-    d, n_i = curve.events, curve.at_risk
-    inner = (d > 0) & (n_i > d)
-    variance = np.sum(beyond[inner] ** 2 * d[inner] / (n_i[inner] * (n_i[inner] - d[inner])))
-    return float(beyond[0]), float(np.sqrt(variance * len(t) / (len(t) - 1)))
-
-
-def expected_running_time(
-    durations: ArrayLike,
-    converged: ArrayLike,
-    rng: np.random.Generator,
-    *,
-    level: float = LEVEL,
-    resamples: int = RESAMPLES,
-) -> Estimate:
-    """ERT: expected iterations until the first success if failed trials are restarted.
-
-    ERT = Σ_i duration_i / #{converged}, over all trials; failed trials count with the cap
-
-    The interval is a bootstrap over trials. The upper bound is ``inf`` if too many resamples
-    contain no converged trial. If no trial converged, the estimate is ``inf``, and the lower bound
-    is mean duration / Wilson's upper bound of the pass rate, since resampling cannot give one.
-
-    Raises:
-        ValueError: as :func:`kaplan_meier`.
-
-    Source: Hansen et al., COCO: performance assessment (2016), §4.
-
-    >>> expected_running_time([100, 300], [True, False], np.random.default_rng(0)).value
-    400.0
-
-    """
-    t, e = _check(durations, converged)
-    if not e.any() and len(t) > 1:
-        least = float(t.mean() / pass_rate(0, len(t), level=level).high)
-        return Estimate(np.inf, least, np.inf, level)
-
-    def ratio(t: NDArray[np.float64], e: NDArray[np.bool_]) -> Any:
-        with np.errstate(divide="ignore"):
-            return t.sum(axis=-1) / e.sum(axis=-1)
-
-    return bootstrap(ratio, [t, e], rng, paired=True, level=level, resamples=resamples)
 
 
 def logrank_test(t_a: ArrayLike, e_a: ArrayLike, t_b: ArrayLike, e_b: ArrayLike) -> float:

@@ -2,11 +2,16 @@
 
 Words of the thesis, and their meaning for the probability p that a trial passes:
 
-    never, always, all        no exception among the trials, and the interval of p within 5 % of it
+    never                     p < 1 %
+    always, all               p > 99 %
+    some fail                 p < 99 %
     consistently              p > 90 %
     almost consistently,
     almost every time         p > 80 %
     mostly, most of the time  p > 50 %
+
+Every statement is true or false of p, whatever the number of trials: more trials can settle it, but
+not turn it into its opposite.
 
 Each claim is decided separately at the given level. A claim of several parts holds if every part
 holds at that level (an intersection-union test, which needs no correction), and fails if one of its
@@ -17,20 +22,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from math import sqrt
 from typing import Literal
 
 import numpy as np
 
-from trl_explore.statistics.bootstrap import RESAMPLES
-from trl_explore.statistics.comparisons import mean_difference
-from trl_explore.statistics.estimates import Estimate, normal_quantile, pass_rate
+from trl_explore.statistics.estimates import Estimate, decimals, exact_rate
+from trl_explore.statistics.means import mean_difference, mean_interval
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.statistics.pairing import common
-from trl_explore.statistics.power import trials_for_difference, trials_for_rate_bound
-from trl_explore.thesis.study import NotMeasuredError, Sample, Study
+from trl_explore.statistics.power import trials_for_rate_bound, trials_to_settle
+from trl_explore.statistics.quantiles import combination
+from trl_explore.statistics.samples import Sample
+from trl_explore.thesis.study import NotMeasuredError, Study, Unit
 
-NEVER, CONSISTENTLY, ALMOST_ALWAYS, MOSTLY = 0.05, 0.90, 0.80, 0.50
+RARELY, CONSISTENTLY, ALMOST_ALWAYS, MOSTLY = 0.01, 0.90, 0.80, 0.50
+"""The margins of the words."""
+THESIS_COSTS = (1.0, 10.0)
+"""What an iteration costs in the thesis's program, beside its frames, in frames."""
+COSTS = (0.0, *THESIS_COSTS, 30.0, 100.0, 1000.0)
 
 Verdict = Literal["holds", "does not hold", "open", "not measured"]
 HOLDS: Verdict = "holds"
@@ -49,35 +59,46 @@ class Finding:
             ``not measured``.
         evidence: the numbers, intervals and tests that lead to the verdict.
         trials_needed: for an open claim, trials per configuration that would settle it with
-            80 % power if the current estimates were exact; None if not computable. For claims
-            about the trials that converge, only those are counted.
+            80 % power if the current estimates were exact; ``inf``: more than can be run; None if
+            the estimates are too uncertain to say. For claims about the trials that converge, only
+            those are counted.
 
     """
 
     verdict: Verdict
     evidence: str
-    trials_needed: int | None = None
+    trials_needed: float | None = None
 
 
 Rule = Callable[[float], Finding]
 """Confidence level -> finding."""
-Decision = Callable[[Study, np.random.Generator], Finding]
-"""(Study, generator) -> finding; may raise :class:`NotMeasuredError`."""
-UnitDecision = Callable[[Study, np.random.Generator, str], Finding]
-"""The same with a unit as third argument: ``iterations``, ``frames`` or ``s``."""
+Decision = Callable[[Study], Finding]
+"""Study -> finding; may raise :class:`NotMeasuredError`."""
+UnitDecision = Callable[[Study, Unit], Finding]
+"""The same with a unit as second argument: ``iterations``, ``s``, or a cost of iterations."""
 
 
 def share(
     count: float, n: int, what: str, *, above: float | None = None, below: float | None = None
 ) -> Rule:
-    """Share of trials p > ``above``, or p < ``below``, by Wilson's interval.
+    """Share of trials p > ``above``, or p < ``below``, by the exact interval.
 
     ``what`` follows the count in the evidence: "28 of 30 *softmax trials pass*".
     """
     if above is None:
         assert below is not None
         return contrary(share(count, n, what, above=below))
-    return _rate(count, n, what, above, lambda p: decided(p.above(above), p.below(above)))
+
+    def rule(level: float) -> Finding:
+        p = exact_rate(count, n, level=level)
+        verdict = decided(p.above(above), p.below(above))
+        needed = trials_for_rate_bound(p.value, above, level=level)
+        if 0 < count < n and abs(p.value - above) < sqrt(above * (1 - above) / n):
+            needed = None
+        text = f"{count:,.10g} of {n:,} {what}: {percent(p)}"
+        return Finding(verdict, text, more(verdict, needed, n))
+
+    return rule
 
 
 def passing(o: Outcomes, what: str, **bound: float) -> Rule:
@@ -86,53 +107,76 @@ def passing(o: Outcomes, what: str, **bound: float) -> Rule:
 
 
 def never(count: int, n: int, what: str) -> Rule:
-    """No trial does ``what``: fails with one; holds with none and Wilson's upper bound < 5 %."""
-    return _rate(count, n, what, NEVER, lambda p: decided(count == 0 and p.below(NEVER), count > 0))
+    """Fewer than 1 % of trials do ``what``."""
+    return share(count, n, what, below=RARELY)
 
 
 def some(count: int, n: int, what: str) -> Rule:
-    """At least one trial does ``what``: the negation of :func:`never`."""
-    return contrary(never(count, n, what))
+    """More than 1 % of trials do ``what``: the negation of :func:`never`."""
+    return share(count, n, what, above=RARELY)
 
 
-def mean_less(
-    a: Sample, b: Sample, rng: np.random.Generator, *, resamples: int = RESAMPLES
-) -> Rule:
-    """mean(a) < mean(b), by both bootstrap interval and permutation test; paired if possible."""
+def mean_less(a: Sample, b: Sample) -> Rule:
+    """mean(a) < mean(b), by the interval of the difference; paired if possible."""
 
     def rule(level: float) -> Finding:
         if min(len(a), len(b)) == 0:
             empty = a if len(a) == 0 else b
             return Finding(OPEN, f"{empty.label}: no trial to average")
-        x, y, paired = align(a, b)
-        d = mean_difference(x, y, rng, paired=paired, level=level, resamples=resamples)
+        d = mean_difference(a, b, level=level)
         verdict = decided(d.sign() < 0, d.sign() > 0)
-        design = f"{d.n} pairs" if paired else f"{len(x)} and {len(y)} trials"
+        design = f"{d.n:,} pairs" if d.paired else f"{len(a):,} and {len(b):,} trials"
         text = (
             f"{a.label} minus {b.label} {interval(d.estimate, a.unit)},"
-            f" p = {p_value(d.p_value)} ({design})"
+            f" p {p_value(d.p_value)} ({design})"
         )
-        needed = trials_for_difference(d.sd, d.estimate.value, level=level)
+        needed = trials_to_settle(d.estimate, 0.0, d.n)
         return Finding(verdict, text, more(verdict, needed, d.n))
 
     return rule
 
 
-def within(
-    estimate: Callable[[float], Estimate], n: int, low: float, high: float, what: str
-) -> Rule:
-    """θ in [low, high]: holds if its interval lies inside, fails if it lies outside.
+def mean_ratio(a: Sample, b: Sample, low: float, high: float, what: str) -> Rule:
+    """``low`` ≤ mean(a) / mean(b) ≤ ``high``, for positive means.
 
-    One bound may be infinite. ``n`` is the number of trials of the estimate.
+    Decided without a ratio: the interval of mean(a) - high · mean(b) lies below 0, and that of
+    mean(a) - low · mean(b) above 0. It fails if one of them lies on the other side.
     """
 
     def rule(level: float) -> Finding:
-        theta = estimate(level)
-        verdict = decided(theta.inside(low, high), theta.outside(low, high))
-        gap = min(abs(theta.value - low), abs(theta.value - high))
-        sd = (theta.high - theta.low) / (2.0 * normal_quantile(level)) * sqrt(n)
-        needed = trials_for_difference(sd, gap, level=level)
-        return Finding(verdict, f"{what} {interval(theta)}", more(verdict, needed, n))
+        if min(len(a), len(b)) == 0:
+            return Finding(OPEN, f"{what}: no trial to average")
+        tests = [mean_difference(a, b.scaled(r), level=level) for r in (low, high) if r > 0]
+        signs = [t.sign() for t in tests]
+        wanted = [1] * (low > 0) + [-1]
+        verdict = decided(signs == wanted, any(s == -w for s, w in zip(signs, wanted, strict=True)))
+        ratio = a.values.mean() / b.values.mean()
+        bounds = f"at most {high:g}" if low == 0 else f"{low:g} to {high:g}"
+        return Finding(verdict, f"{what} {ratio:.3g} (asked: {bounds}; {tests[0].n:,} trials)")
+
+    return rule
+
+
+def mean_within(sample: Sample, low: float, high: float, what: str) -> Rule:
+    """The mean lies in [low, high]: holds if its interval lies inside, fails if outside."""
+
+    def rule(level: float) -> Finding:
+        e = mean_interval(sample, level=level)
+        verdict = decided(e.inside(low, high), e.outside(low, high))
+        nearest = low if abs(e.value - low) < abs(e.value - high) else high
+        needed = trials_to_settle(e, nearest, len(sample))
+        return Finding(verdict, f"{what} {interval(e)}", more(verdict, needed, len(sample)))
+
+    return rule
+
+
+def quantiles_above_zero(sample: Sample, weights: Sequence[tuple[float, float]], what: str) -> Rule:
+    """Σ w · quantile(p) > 0 for pairs (p, w), from exact intervals of the quantiles."""
+
+    def rule(level: float) -> Finding:
+        e = combination(sample.values, weights, level=level)
+        text = f"{what} {interval(e, sample.unit)} ({len(sample):,} trials)"
+        return Finding(decided(e.above(0.0), e.below(0.0)), text)
 
     return rule
 
@@ -166,35 +210,40 @@ def any_of(rules: Sequence[Rule]) -> Rule:
 
 def in_iterations(decide: UnitDecision) -> Decision:
     """Decide in iterations, restricted to the cap."""
-    return lambda study, rng: decide(study, rng, "iterations")
+    return lambda study: decide(study, "iterations")
 
 
-def in_seconds(decide: UnitDecision) -> Decision:
-    """Decide in seconds; the evidence adds the verdict in frames, which is machine-independent.
+def in_time(decide: UnitDecision) -> Decision:
+    """Decide on the time that a trial takes, for every cost of an iteration.
 
-    Without seconds the verdict is ``not measured``. Frames cannot replace seconds, because an
-    iteration also has a fixed cost.
+    time = frames + κ · iterations, in the time of a frame
+
+    κ is what an iteration costs beside its frames: between 1 and 10 in the thesis's program, more
+    where a frame is fast. The verdict is that for the thesis's κ; the evidence states for which κ
+    of ``COSTS`` each verdict holds, and what the seconds of trials that were timed alone say.
     """
 
-    def both(study: Study, rng: np.random.Generator) -> Finding:
-        rng_seconds, rng_frames = rng.spawn(2)
-        frames = decide(study, rng_frames, "frames")
-        beside = f"In frames: {frames.verdict} ({frames.evidence})."
+    def over_costs(study: Study) -> Finding:
+        found = [(cost, decide(study, cost)) for cost in COSTS]
+        thesis = [finding for cost, finding in found if cost in THESIS_COSTS]
+        agreed = {finding.verdict for finding in thesis}
+        ranges = []
+        for verdict, group in groupby(found, key=lambda pair: pair[1].verdict):
+            costs = [f"{cost:,g}" for cost, _ in group]
+            ends = costs[0] if len(costs) == 1 else f"{costs[0]} to {costs[-1]}"
+            ranges.append(f"{ends} frames: {verdict}")
+        text = f"{thesis[-1].evidence}, if an iteration costs {THESIS_COSTS[-1]:g} frames."
+        text += f" By the cost of an iteration, {'; '.join(ranges)}."
         try:
-            seconds = decide(study, rng_seconds, "s")
-        except NotMeasuredError as missing:
-            return Finding(NOT_MEASURED, f"{missing}. {beside}")
-        return replace(seconds, evidence=f"{seconds.evidence}. {beside}")
+            seconds = decide(study, "s")
+            text += f" Timed alone on this computer: {seconds.verdict} ({seconds.evidence})."
+        except NotMeasuredError:
+            pass
+        verdict = thesis[-1].verdict if len(agreed) == 1 else OPEN
+        needed = thesis[-1].trials_needed if verdict == OPEN else None
+        return Finding(verdict, text, needed)
 
-    return both
-
-
-def align(a: Sample, b: Sample) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Values of the common trials, as pairs; all values, unpaired, if there are none."""
-    i, j = common(a.keys, b.keys)
-    if len(i) == 0:
-        return a.values, b.values, False
-    return a.values[i], b.values[j], True
+    return over_costs
 
 
 def decided(holds: bool, fails: bool) -> Verdict:
@@ -204,32 +253,40 @@ def decided(holds: bool, fails: bool) -> Verdict:
 
 def percent(rate: Estimate) -> str:
     """Write a proportion with its interval."""
+    value, low, high = 100 * rate.value, 100 * rate.low, 100 * rate.high
+    digits = max(decimals(Estimate(value, low, high)), 1)
     return (
-        f"{100 * rate.value:.1f} %, {100 * rate.level:.3g} % interval"
-        f" {100 * rate.low:.1f} to {100 * rate.high:.1f} %"
+        f"{value:.{digits}f} %, {100 * rate.level:.3g} % interval"
+        f" {low:.{digits}f} to {high:.{digits}f} %"
     )
 
 
 def interval(e: Estimate, unit: str = "") -> str:
     """Write a quantity with its interval."""
-    if np.isnan(e.low):
-        return f"{_signed(f'{e.value:.3g}')} {unit}".strip() + " (no interval)"
-    digits = _digits(max(abs(e.low), abs(e.high)))
-    value, low, high = (_signed(f"{x:.{digits}f}") for x in (e.value, e.low, e.high))
+    if not np.isfinite([e.low, e.high]).all():
+        value = _signed(f"{e.value:.3g}")
+        known = [
+            f"{word} {_signed(f'{bound:.3g}')}"
+            for word, bound in (("at least", e.low), ("at most", e.high))
+            if np.isfinite(bound)
+        ]
+        return f"{value} {unit}".strip() + f" ({known[0] if known else 'no interval'})"
+    digits = decimals(e)
+    value, low, high = (_signed(f"{x:,.{digits}f}") for x in (e.value, e.low, e.high))
     return f"{value} {unit}".strip() + f", {100 * e.level:.3g} % interval {low} to {high}"
 
 
 def p_value(p: float) -> str:
-    """Write a p-value."""
-    return f"{p:.2g}" if p >= 0.001 else f"{p:.0e}"
+    """Write a p-value after its name.
+
+    >>> p_value(0.0321), p_value(1e-30)
+    ('= 0.032', '< 1e-10')
+    """
+    return "< 1e-10" if p < 1e-10 else f"= {p:.2g}" if p >= 0.001 else f"= {p:.0e}"
 
 
 def _signed(number: str) -> str:
     return f"−{number[1:]}" if number.startswith("-") else number
-
-
-def _digits(size: float) -> int:
-    return 3 if size < 1 else 2 if size < 10 else 1 if size < 1000 else 0
 
 
 def contrary(rule: Rule) -> Rule:
@@ -243,20 +300,7 @@ def contrary(rule: Rule) -> Rule:
     return negated
 
 
-def _rate(
-    count: float, n: int, what: str, bound: float, verdict_on: Callable[[Estimate], Verdict]
-) -> Rule:
-    def rule(level: float) -> Finding:
-        p = pass_rate(count, n, level=level)
-        verdict = verdict_on(p)
-        needed = trials_for_rate_bound(p.value, bound, level=level)
-        text = f"{count} of {n} {what}: {percent(p)}"
-        return Finding(verdict, text, more(verdict, needed, n))
-
-    return rule
-
-
-def more(verdict: Verdict, needed: int | None, n: int) -> int | None:
+def more(verdict: Verdict, needed: float | None, n: int) -> float | None:
     """Trials that an open claim needs: ``needed``, but at least n + 1."""
     if verdict != OPEN or needed is None:
         return None

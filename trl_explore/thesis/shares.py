@@ -1,19 +1,18 @@
-"""Decisions on shares of trials, by Wilson's interval.
+"""Decisions on shares of trials, by their exact interval.
 
 Functions that return a :data:`Decision` are shared by similar claims.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from trl_explore.names import strategy_label
-from trl_explore.statistics.estimates import pass_rate
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.statistics.pairing import pair_indices, trial_keys
+from trl_explore.statistics.pairing import pair_indices
 from trl_explore.statistics.power import trials_for_rate_bound
 from trl_explore.statistics.survival import probability_faster
 from trl_explore.thesis import rules
@@ -27,7 +26,7 @@ EARLY = 450
 
 def pass_rates(*strategies: str, **bound: float) -> Decision:
     """The pass rate of each strategy is p > ``above``, or p < ``below``."""
-    return lambda study, rng: all_passing(
+    return lambda study: all_passing(
         study,
         {f"{strategy_label(name)} trials pass": study.strategy(name) for name in strategies},
         **bound,
@@ -40,9 +39,9 @@ def all_passing(study: Study, jobs: Mapping[str, Outcomes], **bound: float) -> F
 
 
 def never_passes(strategy: str) -> Decision:
-    """No trial of a strategy passes."""
+    """Fewer than 1 % of the trials of a strategy pass."""
 
-    def decide(study: Study, rng: np.random.Generator) -> Finding:
+    def decide(study: Study) -> Finding:
         o = study.strategy(strategy)
         return rules.never(
             int(o.converged.sum()), len(o), f"{strategy_label(strategy)} trials pass"
@@ -52,13 +51,13 @@ def never_passes(strategy: str) -> Decision:
 
 
 def never_fails(strategy: str) -> Decision:
-    """No trial of a strategy fails to pass."""
-    return lambda study, rng: _failures(study, strategy, rules.never)
+    """Fewer than 1 % of the trials of a strategy fail."""
+    return lambda study: _failures(study, strategy, rules.never)
 
 
 def sometimes_fails(strategy: str) -> Decision:
-    """At least one trial of a strategy does not pass."""
-    return lambda study, rng: _failures(study, strategy, rules.some)
+    """More than 1 % of the trials of a strategy fail."""
+    return lambda study: _failures(study, strategy, rules.some)
 
 
 def _failures(study: Study, strategy: str, rule: Callable[..., rules.Rule]) -> Finding:
@@ -68,7 +67,7 @@ def _failures(study: Study, strategy: str, rule: Callable[..., rules.Rule]) -> F
     )
 
 
-def only_one_epsilon_passes(study: Study, rng: np.random.Generator) -> Finding:
+def only_one_epsilon_passes(study: Study) -> Finding:
     """p(ε = 0.3) > 80 % and p(ε) < 80 % for every other ε of the grid."""
     grid = study.grid("epsilon_grid", "epsilon")
     if EPSILON not in grid or len(grid) < 2:
@@ -94,7 +93,7 @@ def decay_grid(study: Study) -> dict[float, Outcomes]:
     return grid
 
 
-def higher_rates_pass(study: Study, rng: np.random.Generator) -> Finding:
+def higher_rates_pass(study: Study) -> Finding:
     """The pass rate is p > 90 % for every decay rate above the median of the grid."""
     grid = decay_grid(study)
     middle = float(np.median(list(grid)))
@@ -102,60 +101,67 @@ def higher_rates_pass(study: Study, rng: np.random.Generator) -> Finding:
     return all_passing(study, higher, above=rules.CONSISTENTLY)
 
 
-def best_rate_always_passes(study: Study, rng: np.random.Generator) -> Finding:
-    """No trial of the decay rate 0.99 fails."""
+def best_rate_always_passes(study: Study) -> Finding:
+    """Fewer than 1 % of the trials of the decay rate 0.99 fail."""
     o = decay_grid(study)[DECAY]
     what = f"trials fail at rate {DECAY}"
     return rules.never(int((~o.converged).sum()), len(o), what)(study.level)
 
 
-def late_trials_never_converge(study: Study, rng: np.random.Generator) -> Finding:
-    """P(converges by 5000 | not converged at 1000) < ½ over all rates of the decay grid.
+def late_trials(*strategies: str, below: float) -> Decision:
+    """P(passes by 5000 | not passed at 1000) < ``below`` for each strategy with such trials."""
 
-    The rates share trials, so their runs are not independent. The interval uses Kish's effective
-    number of trials, (Σ m)² / Σ m² for trials with m pending runs.
-    """
-    grid = decay_grid(study)
-    late, runs = 0, Counter[tuple[int, int]]()
-    for o in grid.values():
-        pending = o.durations > CAPS["thesis"]
-        late += int((pending & o.converged).sum())
-        runs.update(key for key, p in zip(trial_keys(o), pending, strict=True) if p)
-    total = runs.total()
-    if total == 0:
-        raise NotMeasuredError(f"every trial of the grid converged within {CAPS['thesis']}")
-    n = total**2 // sum(m**2 for m in runs.values())
-    finding = rules.share(late / total * n, n, "runs", below=rules.MOSTLY)(study.level)
-    needed = finding.trials_needed
-    if needed is not None:
-        # Only trials that are still running at 1000 count, by their effective number.
-        needed = -(-needed * max(len(o) for o in grid.values()) // n)
-    text = (
-        f"{late} of {total} runs unconverged at {CAPS['thesis']} converge later:"
-        f" {rules.percent(pass_rate(late / total * n, n, level=study.level))}"
-        f" ({len(runs)} different trials, worth {n} independent ones)"
-    )
-    return Finding(finding.verdict, text, needed)
+    def decide(study: Study) -> Finding:
+        rules_of, early = [], CAPS["thesis"]
+        for name in strategies:
+            o = _long_run(study, name)
+            pending = o.durations > early
+            n, late = int(pending.sum()), int((pending & o.converged).sum())
+            if n == 0:
+                continue
+            what = f"trials of {strategy_label(name)} unconverged at {early} converge later"
+            rules_of.append(_of_part(rules.share(late, n, what, below=below), n, len(o)))
+        if not rules_of:
+            raise NotMeasuredError(f"every trial converged within {early}")
+        return rules.all_of(rules_of, study.level)
+
+    return decide
 
 
-def argmax_needs_450(study: Study, rng: np.random.Generator) -> Finding:
-    """No trial of argmax converges before iteration 450."""
+def _long_run(study: Study, strategy: str) -> Outcomes:
+    """A strategy with the cap of 5000; decaying ε-greedy also from the decay grid."""
+    try:
+        return study.strategy(strategy, "long_runs")
+    except NotMeasuredError:
+        if strategy != "decaying_epsilon_greedy":
+            raise
+        return decay_grid(study)[DECAY]
+
+
+def _of_part(rule: rules.Rule, part: int, whole: int) -> rules.Rule:
+    """A rule on some trials only; the trials needed are those of the whole configuration."""
+
+    def scaled(level: float) -> Finding:
+        finding = rule(level)
+        needed = finding.trials_needed
+        return finding if needed is None else replace(finding, trials_needed=needed * whole / part)
+
+    return scaled
+
+
+def argmax_needs_450(study: Study) -> Finding:
+    """Fewer than 1 % of the trials of argmax that pass do so before iteration 450."""
     o = study.strategy("argmax")
     passed = o.iterations[o.converged]
     if len(passed) == 0:
         return Finding(OPEN, f"0 of {len(o)} argmax trials pass")
     early = int((passed < EARLY).sum())
     what = f"passing argmax trials take fewer than {EARLY} iterations"
-    finding = rules.never(early, len(passed), what)(study.level)
-    needed = finding.trials_needed
-    if needed is not None:
-        # Only trials that pass count: divide by the current pass rate.
-        needed = -(-needed * len(o) // len(passed))
-    text = f"{finding.evidence}; the fastest takes {passed.min()}"
-    return Finding(finding.verdict, text, needed)
+    finding = _of_part(rules.never(early, len(passed), what), len(passed), len(o))(study.level)
+    return replace(finding, evidence=f"{finding.evidence}; the fastest takes {passed.min()}")
 
 
-def random_scores_between(study: Study, rng: np.random.Generator) -> Finding:
+def random_scores_between(study: Study) -> Finding:
     """P(20 ≤ final score ≤ 25) > 90 %."""
     score = study.strategy("random").score
     inside = int(np.count_nonzero((score >= 20) & (score <= 25)))
@@ -163,7 +169,7 @@ def random_scores_between(study: Study, rng: np.random.Generator) -> Finding:
     return rules.share(inside, len(score), what, above=rules.CONSISTENTLY)(study.level)
 
 
-def softmax_performs_best(study: Study, rng: np.random.Generator) -> Finding:
+def softmax_performs_best(study: Study) -> Finding:
     """P(softmax converges first) > ½ against every other strategy."""
     best = study.strategy("softmax")
     others = [study.strategy(name) for name in study.strategies if name != "softmax"]

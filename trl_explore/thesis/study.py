@@ -4,23 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trl_explore.names import OPTIONS, option_of, strategy_label, symbol
-from trl_explore.statistics.bootstrap import RESAMPLES
+from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import LEVEL
-from trl_explore.statistics.outcomes import Outcomes, convergence_times
+from trl_explore.statistics.outcomes import Outcomes, convergence_times, judged
 from trl_explore.statistics.pairing import configuration_key, deduplicate, pool, trial_keys
+from trl_explore.statistics.samples import Sample
 
 STRATEGIES = ("random", "argmax", "epsilon_greedy", "decaying_epsilon_greedy", "softmax")
 
 # The conditions under which the thesis made its statements (§2.3, §2.4.3, appendix A.4).
 CAPS = {
     "thesis": 1000, "epsilon_grid": 1000, "decay_grid": 5000, "temperature_grid": 1000,
-    "baselines": 1000, "corrections": 1000, "corrections_temperature": 1000,
+    "baselines": 1000, "corrections": 1000, "corrections_temperature": 1000, "long_runs": 5000,
 }  # fmt: skip
 THRESHOLD, WINDOW, ENV_ID = 195.0, 100, "CartPole-v1"
 PARAMETERS: Mapping[str, Mapping[str, float]] = {
@@ -34,33 +36,8 @@ class NotMeasuredError(ValueError):
     """The data for a claim are missing, or were measured under other conditions."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """One measured quantity of the trials of one configuration.
-
-    Attributes:
-        label: name of the configuration in the evidence.
-        unit: ``iterations``, ``frames`` or ``s``.
-        values: [n].
-        converged: [n].
-        keys: (seed, trial) of each value; equal keys form pairs.
-
-    """
-
-    label: str
-    unit: str
-    values: NDArray[np.float64]
-    converged: NDArray[np.bool_]
-    keys: tuple[tuple[int, int], ...]
-
-    def __len__(self) -> int:
-        return len(self.values)
-
-    def only(self, mask: NDArray[np.bool_], label: str | None = None) -> Sample:
-        """Keep the trials where ``mask`` [n] is true."""
-        keys = tuple(k for k, keep in zip(self.keys, mask, strict=True) if keep)
-        name = label or self.label
-        return Sample(name, self.unit, self.values[mask], self.converged[mask], keys)
+Unit = str | float
+"""``iterations``, ``score``, ``s``, or a number: frames, with this many more for each iteration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +54,10 @@ class Study:
         timed_trials: ``experiment/name`` -> trial index of each entry of ``seconds`` [n]; by
             default, the first n trials of the configuration, in order.
         level: confidence level of every verdict.
-        resamples: number of resamples of every bootstrap and permutation test.
         strategies: the strategies meant by claims about all strategies.
         places: name of an experiment -> name of the experiment that replaces it.
+        measure: ``passed``, what a trial did while it explored, or ``learned``, what its policy
+            does without the strategy (see :meth:`judged`).
 
     """
 
@@ -87,9 +65,26 @@ class Study:
     seconds: Mapping[str, ArrayLike] = field(default_factory=dict)
     timed_trials: Mapping[str, ArrayLike] = field(default_factory=dict)
     level: float = LEVEL
-    resamples: int = RESAMPLES
     strategies: Sequence[str] = STRATEGIES
     places: Mapping[str, str] = field(default_factory=dict)
+    measure: str = "passed"
+
+    def judged(self, measure: str) -> Study:
+        """The same study by one measure: every claim is then decided by the same function.
+
+        With ``learned``, ``converged``, iterations, frames and score are those of the policy
+        without the strategy; jobs for which they are not known are left out. With ``passed``, a
+        job that went on after passing counts as if it had stopped then.
+        """
+        found, passed = [], measure == "passed"
+        for o in self.outcomes:
+            try:
+                found.append(judged(o, measure))
+            except ValueError:
+                # The conditions of the thesis then say why such a job is not used.
+                found += [o] if passed else []
+        seconds, timed = (self.seconds, self.timed_trials) if passed else ({}, {})
+        return replace(self, outcomes=found, seconds=seconds, timed_trials=timed, measure=measure)
 
     def under(self, correction: str) -> Study:
         """The study in which the experiments with corrections replace those without.
@@ -115,13 +110,19 @@ class Study:
 
         """
         name = self.places.get(name, name)
-        try:
-            jobs = deduplicate([o for o in self.outcomes if o.experiment == name])
-        except ValueError as error:
-            raise NotMeasuredError(str(error)) from error
-        if not jobs:
+        if name not in self._found:
+            try:
+                jobs = deduplicate([o for o in self.outcomes if o.experiment == name])
+            except ValueError as error:
+                raise NotMeasuredError(str(error)) from error
+            self._found[name] = jobs
+        if not self._found[name]:
             raise NotMeasuredError(f"the experiment {name} was not run")
-        return jobs
+        return self._found[name]
+
+    @cached_property
+    def _found(self) -> dict[str, list[Outcomes]]:
+        return {}
 
     def strategy(self, name: str, experiment: str = "thesis") -> Outcomes:
         """One strategy of an experiment with the thesis's parameters; seeds are pooled.
@@ -181,23 +182,28 @@ class Study:
                 )
         return {value: _pooled(by_value[value]) for value in sorted(by_value)}
 
-    def sample(self, outcomes: Outcomes, unit: str, label: str | None = None) -> Sample:
-        """Take the iterations (restricted to the cap), frames, or seconds of a configuration.
+    def sample(self, outcomes: Outcomes, unit: Unit, label: str | None = None) -> Sample:
+        """Take the iterations (restricted to the cap), score, time or seconds of a configuration.
 
         Raises:
-            NotMeasuredError: seconds were not measured or do not match the trials.
+            NotMeasuredError: seconds were not measured or do not match the trials; or a trial has
+                no score.
 
         """
         name = label or strategy_label(outcomes.strategy)
-        keys, converged = trial_keys(outcomes), np.asarray(outcomes.converged, dtype=bool)
         if unit == "iterations":
-            values = outcomes.durations.astype(np.float64)
-        elif unit == "frames":
-            values = outcomes.frames.astype(np.float64)
-        else:
-            values, where = self._seconds(outcomes)
-            keys, converged = [keys[i] for i in where], converged[where]
-        return Sample(name, unit, values, converged, tuple(keys))
+            return samples.iterations(outcomes, name)
+        if unit == "score":
+            found = samples.scores(outcomes, name)
+            if len(found) < len(outcomes):
+                raise NotMeasuredError(f"a trial of {name} has no score")
+            return found
+        if not isinstance(unit, str):
+            return samples.frames(outcomes, name, per_iteration=unit)
+        values, where = self._seconds(outcomes)
+        keys, converged = trial_keys(outcomes), np.asarray(outcomes.converged, dtype=bool)[where]
+        failed = samples.Kind(~converged, 0.0)
+        return Sample(name, unit, values, converged, tuple(keys[i] for i in where), (failed,))
 
     def _seconds(self, outcomes: Outcomes) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
         key = f"{outcomes.experiment}/{outcomes.name}"
@@ -221,6 +227,7 @@ class Study:
 
 
 def _pooled(jobs: Sequence[Outcomes]) -> Outcomes:
+    """One configuration, under the conditions of the thesis."""
     for job in jobs:
         _check_conditions(job)
     return pool(jobs)
@@ -231,8 +238,9 @@ def _check_conditions(job: Outcomes) -> None:
         ("cap", job.cap, CAPS.get(job.experiment, job.cap)),
         ("threshold", job.threshold, THRESHOLD),
         ("window", job.window, WINDOW),
-        ("stopping scores", job.judged_by, "training"),
     ]
+    if job.measure != "learned":
+        wanted.append(("stopping scores", job.judged_by, "training"))
     env = job.config.get("env")
     if isinstance(env, Mapping) and "id" in env:
         wanted.append(("environment", env["id"], ENV_ID))

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from scipy import stats
 
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures.axes import new_figure, plain_numbers, wrapped
@@ -68,14 +67,13 @@ def _draw(e: GroupEvidence) -> Figure:
     """Draw pass rate and mean iterations of a crossed group."""
     group, layout = e.group, e.group.crossed
     assert layout is not None
-    z = float(stats.norm.ppf((1.0 + LEVEL) / 2.0))
     rates, means = [], []
     for (row, option), name in layout.cells.items():
         summary, style = e.summary(name), group.styles[name]
-        rate, mean, half = summary.pass_rate, summary.restricted_mean, summary.restricted_mean_se
+        rate = summary.pass_rate
         percent = Estimate(100 * rate.value, 100 * rate.low, 100 * rate.high)
         rates.append(Dot(row, option, percent, style))
-        means.append(Dot(row, option, Estimate(mean, mean - z * half, mean + z * half), style))
+        means.append(Dot(row, option, summary.restricted_mean, style))
     rows, n = layout.rows, len(layout.options)
     figure = new_figure(1.25 + 0.155 * height(len(rows), 0, n))
     left, right = figure.subplots(1, 2, sharey=True)
@@ -96,7 +94,7 @@ def _caption(e: GroupEvidence) -> str:
     return (
         f"Left: share of {trials(e)} trials that pass. Right: mean number of iterations; failed"
         f" trials count as {e.group.cap:,}. Bars: {100 * LEVEL:g} % intervals (left: Wilson;"
-        f" right: normal). Circles: {layout.options[0]}."
+        f" right: MOVER). Circles: {layout.options[0]}."
     )
 
 

@@ -108,8 +108,9 @@ def _caption(e: GroupEvidence) -> str:
     )
     return (
         "Mean number of iterations (restricted to the cap) that the first of a pair saves compared"
-        f" with the second, with {100 * LEVEL:g} % interval. Filled: significant by interval and"
-        f" permutation test after Holm’s correction, {real} of {len(e.comparisons)} pairs.{some}"
+        " with the second. Bar: interval at the level of the pair’s step in Holm’s correction for"
+        f" all pairs, {100 * LEVEL:g} % together. Filled: significant, the interval excludes 0,"
+        f" {real} of {len(e.comparisons)} pairs.{some}"
     )
 
 

@@ -113,8 +113,9 @@ def _draw_pass(e: GroupEvidence) -> Figure:
 
 
 def _draw_iterations(e: GroupEvidence) -> Figure:
-    best = min(s.restricted_mean for s in e.summaries)
-    return _draw(e, "mean iterations", lambda s: s.restricted_mean, (float(e.group.cap), best))
+    best = min(s.restricted_mean.value for s in e.summaries)
+    ends = (float(e.group.cap), best)
+    return _draw(e, "mean iterations", lambda s: s.restricted_mean.value, ends)
 
 
 def _frame(e: GroupEvidence) -> str:

@@ -19,6 +19,7 @@ from trl_explore.statistics.power import (
     detectable_difference,
     fewest_pairs,
     trials_for_difference,
+    trials_text,
 )
 
 COLOR = "#0072b2"
@@ -51,7 +52,7 @@ def plot_power(ax: Axes, pairs: Sequence[Pair], *, trials: int, level: float) ->
     """
     known = [p for p in pairs if np.isfinite(p.sd) and p.sd > 0]
     needed = [trials_for_difference(p.sd, p.difference, level=level) for p in known]
-    shown = [(n, p) for n, p in zip(needed, known, strict=True) if n is not None and n <= 1e6]
+    shown = [(n, p) for n, p in zip(needed, known, strict=True) if n is not None and np.isfinite(n)]
     right = max([10 * trials, 1000, *(2 * n for n, _ in shown)])
     n = np.geomspace(fewest_pairs(level), right, 60)
     low, middle, high = np.quantile([p.sd for p in known], [0.0, 0.5, 1.0])
@@ -134,7 +135,7 @@ def _unsettled(pairs: Sequence[Pair], level: float, most: int = 3) -> str:
         for p in pairs
         if not p.told_apart
     ]
-    texts = [f"{label} {n:,}" for label, n in needed if n is not None][:most]
+    texts = [f"{label} {trials_text(n)}" for label, n in needed if n is not None][:most]
     if not texts:
         return ""
     return f" Pairs without a significant difference, and the trials needed: {'; '.join(texts)}."
