@@ -8,20 +8,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trl_explore.names import option_of, strategy_label, symbol
 from trl_explore.report.curves import Heights
 from trl_explore.report.groups import Group
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.statistics.pairing import AGENT_GROUPS, NO_AGENT, trial_keys
+from trl_explore.statistics.pairing import AGENT_GROUPS, NO_AGENT
+from trl_explore.statistics.samples import Sample, iterations, scores
 
 PLAIN, RATIO, AS_IF = "NoCorrection", "PerStep", "AsIf"
 REFERENCE = "softmax"
 CELLS = ("reference", "plain", "assumed", "corrected")
-
-Values = tuple[Sequence[tuple[int, int]], NDArray[np.float64]]
-"""(seed, trial) of each trial [n], and its value [n]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,17 +59,18 @@ class Run:
         """Canonical text of the strategy that its correction names."""
         return _text(self.passed.config.get("correction", {}).get("strategy"))
 
-    def values(self) -> dict[str, Values]:
-        """Quantity -> the trials and their values; without those that are unknown."""
-        keys = trial_keys(self.passed)
-        found: dict[str, Values] = {"passing": (keys, self.passed.durations.astype(np.float64))}
-        if (o := self.learned) is not None:
-            found["learning"] = keys, o.durations.astype(np.float64)
-            found["learned_score"] = keys, o.score.astype(np.float64)
+    def samples(self) -> dict[str, Sample]:
+        """Quantity -> its sample; without the quantities that are unknown."""
+        found = {"passing": iterations(self.passed)}
+        if self.learned is not None:
+            found |= {"learning": iterations(self.learned), "learned_score": scores(self.learned)}
         if (h := self.heights) is not None:
-            found["height"] = h.keys, h.learned
-            found["behaved"] = h.keys, h.behaved
-            found["handicap"] = h.keys, h.evaluated - h.behaved
+            heights = {
+                "height": h.learned, "behaved": h.behaved, "evaluated": h.evaluated,
+                "handicap": h.evaluated - h.behaved,
+            }  # fmt: skip
+            passed = np.ones(len(h.keys), dtype=np.bool_)
+            found |= {k: Sample(k, "", x, passed, tuple(h.keys)) for k, x in heights.items()}
         return found
 
 

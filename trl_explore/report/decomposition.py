@@ -18,10 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trl_explore.report.cells import Crossing, Run, Values, crossings
+from trl_explore.report.cells import Crossing, Run, crossings
 from trl_explore.statistics.comparisons import holm
-from trl_explore.statistics.decomposition import Cells, aligned, mean_of, p_of_mean, share_of
+from trl_explore.statistics.decomposition import Cells, aligned, share_of
 from trl_explore.statistics.estimates import LEVEL, Estimate
+from trl_explore.statistics.means import mean_difference, mean_interval
 from trl_explore.statistics.pairing import trial_keys
 
 QUANTITIES: Mapping[str, str] = {
@@ -32,6 +33,10 @@ QUANTITIES: Mapping[str, str] = {
     "behaved": "mean score in training",
 }
 """Quantity of a trial -> its name. The first three describe what was learned."""
+
+NEAR = 0.1
+"""Two shares that differ by less are alike, even if their intervals do not overlap."""
+NOT_ESTIMABLE = Estimate(np.nan, np.nan, np.nan)
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,7 @@ class Parts:
         corrected: share of the bias in the gap on the data of the strategy; None if not run.
         bias: the mean of both, or the only one.
         data: corrected − reference; None if the strategy was not run corrected.
-        p_data: p-value of ``data`` (paired t test), after Holm's correction over the strategies.
+        p_data: p-value of ``data``, after Holm's correction over the strategies.
     """
 
     quantity: str
@@ -78,6 +83,14 @@ class Parts:
     bias: Estimate
     data: Estimate | None
     p_data: float | None
+
+    @property
+    def separable(self) -> bool:
+        """Whether both ways to measure the bias agree, so that bias and data simply add up."""
+        if self.assumed is None or self.corrected is None or np.isnan(self.bias.value):
+            return True
+        near = abs(self.assumed.value - self.corrected.value) <= NEAR
+        return near or not self.assumed.outside(self.corrected.low, self.corrected.high)
 
     @property
     def told_apart(self) -> bool:
@@ -132,57 +145,58 @@ def decompose(runs: Sequence[Run]) -> list[Decomposition]:
 
 def _parts(quantity: str, crossing: Crossing) -> Parts | None:
     """The parts of one quantity; None if a cell that is needed lacks it, or no trial is common."""
-    cells = _cells(quantity, crossing)
-    if cells is None or not cells.paths():
+    samples = {
+        name: sample
+        for name, run in crossing.cells.items()
+        if (sample := run.samples().get(quantity)) is not None
+    }
+    if not {"reference", "plain"} < samples.keys():
         return None
-    data, p = None, None
-    if cells.corrected is not None:
-        change = cells.corrected - cells.reference
-        data, p = mean_of(change), p_of_mean(change)
+    arrays = aligned([s.keys for s in samples.values()], [s.values for s in samples.values()])
+    cells = Cells(**dict(zip(samples, arrays, strict=True)))
+    if len(cells.gap) < 2:
+        return None
+    gap = mean_difference(samples["plain"], samples["reference"]).estimate
+
+    def share(part: NDArray[np.float64]) -> Estimate:
+        return share_of(part, cells.gap) if gap.outside(0.0, 0.0) else NOT_ESTIMABLE
+
+    assumed, corrected = cells.assumed, cells.corrected
+    data = None
+    if "corrected" in samples:
+        data = mean_difference(samples["corrected"], samples["reference"])
     return Parts(
         quantity=quantity,
         n=len(cells.gap),
         reference=float(cells.reference.mean()),
         plain=float(cells.plain.mean()),
-        gap=mean_of(cells.gap),
-        assumed=_path(cells.assumed, cells.reference, cells.gap),
-        corrected=_path(cells.plain, cells.corrected, cells.gap),
-        bias=share_of(cells.bias, cells.gap),
-        data=data,
-        p_data=p,
+        gap=gap,
+        assumed=None if assumed is None else share(assumed - cells.reference),
+        corrected=None if corrected is None else share(cells.plain - corrected),
+        bias=share(cells.bias),
+        data=data.estimate if data else None,
+        p_data=data.p_value if data else None,
     )
 
 
-def _cells(quantity: str, crossing: Crossing) -> Cells | None:
-    found: dict[str, Values] = {}
-    for name, run in crossing.cells.items():
-        if (values := run.values().get(quantity)) is not None:
-            found[name] = values
-    if not {"reference", "plain"} <= found.keys():
-        return None
-    arrays = aligned([keys for keys, _ in found.values()], [x for _, x in found.values()])
-    return Cells(**dict(zip(found, arrays, strict=True))) if len(arrays[0]) > 1 else None
-
-
-def _path(
-    more: NDArray[np.float64] | None, less: NDArray[np.float64] | None, gap: NDArray[np.float64]
-) -> Estimate | None:
-    return None if more is None or less is None else share_of(more - less, gap)
-
-
 def _acting(run: Run) -> Acting | None:
-    if run.heights is None:
+    samples = run.samples()
+    if "handicap" not in samples:
         return None
-    behaved, learned = run.heights.behaved, run.heights.evaluated
-    return Acting(mean_of(behaved), mean_of(learned), mean_of(learned - behaved))
+    return Acting(*(mean_interval(samples[k]) for k in ("behaved", "evaluated", "handicap")))
 
 
 def _acting_share(crossing: Crossing) -> Estimate | None:
-    pair = Crossing(crossing.label, crossing.reference, crossing.plain, None, None)
-    behaved, handicap = _cells("behaved", pair), _cells("handicap", pair)
-    if behaved is None or handicap is None:
+    pair = [run.samples() for run in (crossing.plain, crossing.reference)]
+    if any("handicap" not in samples for samples in pair):
         return None
-    return share_of(-handicap.gap, behaved.gap)
+    keys = [samples["behaved"].keys for samples in pair]
+    behaved, handicap = (
+        aligned(keys, [samples[k].values for samples in pair]) for k in ("behaved", "handicap")
+    )
+    if len(behaved[0]) < 2:
+        return None
+    return share_of(handicap[1] - handicap[0], behaved[0] - behaved[1])
 
 
 def _passes(crossing: Crossing) -> tuple[int, int, int] | None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from trl_explore.report.decomposition import QUANTITIES, Decomposition, Parts
 from trl_explore.report.numbers import figure, interval, p_value, percent
 from trl_explore.report.tables import Column, Record, Table
@@ -26,16 +28,14 @@ def _main(found: Sequence[Decomposition]) -> Table:
         Column("strategy", "strategy", lambda r: r["strategy"]),
         Column("handicap", "acting: score in training, and without exploration",
                of(_acting), True),
-        Column("acting_share", "acting: share in the difference of training scores",
-               of(lambda d: percent(d.acting_share)), True),
-        Column("learning_gap", "iterations to learning, minus softmax’s",
+        Column("learning_gap", "iterations to learning beyond softmax",
                of(lambda d: _gap(d.parts.get("learning"))), True),
-        Column("learning_bias", "bias: share in this difference",
+        Column("learning_bias", "bias: its share",
                of(lambda d: _bias(d.parts.get("learning"))), True),
-        Column("learning_data", "data: the difference with corrected gradients",
+        Column("learning_data", "data: the same, corrected",
                of(lambda d: _data(d.parts.get("learning"))), True),
-        Column("passing_bias", "bias: share by time to passing",
-               of(lambda d: percent(p.bias if (p := d.parts.get("passing")) else None)), True),
+        Column("passing_bias", "bias: its share by passing",
+               of(lambda d: _bias(d.parts.get("passing"))), True),
         Column("passes", "trials that pass", of(_passes), True),
     ]  # fmt: skip
     if len({d.environment for d in found}) > 1:
@@ -63,7 +63,8 @@ def _acting(d: Decomposition) -> str:
     a = d.acting.get("plain")
     if a is None:
         return "–"
-    return f"{interval(a.behaved)}\n{interval(a.learned)}\n+ {interval(a.handicap)}"
+    lines = f"{figure(a.behaved.value)} and {figure(a.learned.value)}\n{interval(a.handicap)}"
+    return lines if d.acting_share is None else f"{lines}\nshare {percent(d.acting_share)}"
 
 
 def _gap(p: Parts | None) -> str:
@@ -73,10 +74,10 @@ def _gap(p: Parts | None) -> str:
 def _bias(p: Parts | None) -> str:
     if p is None:
         return "–"
-    lines = [percent(p.bias)]
-    if p.assumed is not None and p.corrected is not None:
-        lines += [f"added: {percent(p.assumed)}", f"removed: {percent(p.corrected)}"]
-    return "\n".join(lines)
+    if p.assumed is None or p.corrected is None or np.isnan(p.bias.value):
+        return percent(p.bias)
+    ways = f"added: {percent(p.assumed)}\nremoved: {percent(p.corrected)}"
+    return f"{percent(p.bias)}\n{ways}" if p.separable else f"{ways}\nmean: {percent(p.bias)}"
 
 
 def _data(p: Parts | None) -> str:
@@ -89,7 +90,7 @@ def _passes(d: Decomposition) -> str:
     if d.passes is None:
         return "–"
     plain, corrected, n = d.passes
-    return f"{plain:,} of {n:,}\ncorrected: {corrected:,}"
+    return f"{plain:,} of {n:,},\ncorrected {corrected:,}"
 
 
 def _quantities(found: Sequence[Decomposition]) -> Table:

@@ -45,17 +45,22 @@ def _bias(found: Sequence[Decomposition]) -> str:
         p = _time(d)
         if p is None:
             continue
+        more = "more" if p.gap.value > 0 else "less"
+        needs = (
+            f"the {figure(abs(p.gap.value))} iterations that {d.strategy} needs {more} than softmax"
+            f" ({figure(p.plain)} against {figure(p.reference)})"
+        )
         if np.isnan(p.bias.value):
             said.append(
                 f"nothing clear of {d.strategy}, which hardly differs from softmax"
                 f" ({interval(p.gap)} iterations)"
             )
+        elif p.separable:
+            said.append(f"{percent(p.bias)} of {needs}")
         else:
-            said.append(
-                f"{percent(p.bias)} of the {figure(abs(p.gap.value))} iterations that {d.strategy}"
-                f" needs {'more' if p.gap.value > 0 else 'less'} than softmax"
-                f" ({figure(p.plain)} against {figure(p.reference)})"
-            )
+            ways = [(p.corrected, f"removed from {d.strategy}"), (p.assumed, "added to softmax")]
+            low, high = (f"{percent(share)}, {how}," for share, how in sorted(ways, key=_value))
+            said.append(f"{low} to {high} of {needs}")
     if not said:
         return ""
     what = "learn" if any("learning" in d.parts for d in found) else "pass"
@@ -83,10 +88,14 @@ def _data(found: Sequence[Decomposition]) -> str:
     if not said:
         return ""
     return (
-        "Data: what is left when every gradient is corrected is the effect of exploration proper."
+        "Data: what is left with corrected gradients is the effect of exploration proper."
         f" To learn, {'; '.join(said)}."
     )
 
 
 def _time(d: Decomposition) -> Parts | None:
     return d.parts.get("learning") or d.parts.get("passing")
+
+
+def _value(way: tuple[Estimate | None, str]) -> float:
+    return way[0].value if way[0] is not None else np.nan

@@ -27,7 +27,7 @@ def interval(e: Estimate) -> str:
     >>> interval(Estimate(27.31, 24.08, 30.6)), interval(Estimate(1.0, math.nan, math.nan))
     ('27.3 [24.1, 30.6]', '1.00')
     """
-    if math.isnan(e.low):
+    if math.isnan(e.low) or (e.low, e.high) == (-math.inf, math.inf):
         return figure(e.value)
     return f"{figure(e.value)} [{figure(e.low)}, {figure(e.high)}]"
 

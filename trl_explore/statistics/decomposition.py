@@ -71,39 +71,6 @@ class Cells:
         return self.gap - self.bias
 
 
-def mean_of(x: ArrayLike, *, level: float = LEVEL) -> Estimate:
-    """x̄ ± t s / √n, with t the quantile of Student's distribution with n − 1 degrees.
-
-    The bounds are NaN for fewer than two values.
-
-    >>> round(mean_of([1.0, 2.0, 3.0]).high, 3)
-    4.484
-    """
-    check_level(level)
-    values = np.asarray(x, dtype=np.float64)
-    n, mean = len(values), float(values.mean())
-    if n < 2:
-        return Estimate(mean, np.nan, np.nan, level)
-    half = _quantile(n, level) * float(values.std(ddof=1) / np.sqrt(n))
-    return Estimate(mean, mean - half, mean + half, level)
-
-
-def p_of_mean(x: ArrayLike) -> float:
-    """Two-sided p-value of the t test of mean 0, which agrees with :func:`mean_of`.
-
-    1 for fewer than two values, or if all are 0.
-
-    >>> p_of_mean([0.0, 0.0, 0.0]), round(p_of_mean([1.0, 2.0, 3.0]), 3)
-    (1.0, 0.074)
-    """
-    values = np.asarray(x, dtype=np.float64)
-    n = len(values)
-    if n < 2 or not values.any():
-        return 1.0
-    error = float(values.std(ddof=1) / np.sqrt(n))
-    return float(2 * stats.t.sf(abs(values.mean()) / error, n - 1)) if error else 0.0
-
-
 def share_of(part: ArrayLike, whole: ArrayLike, *, level: float = LEVEL) -> Estimate:
     """mean(x) / mean(y) of pairs, with Fieller's interval.
 
