@@ -42,6 +42,8 @@ from trl_explore.strategies import MixtureStrategy
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
 TRANSFORMS = (StepCounter, RewardSum)
 
+GREEDY = np.array([[1.0], [0.0], [0.0], [1.0]])
+"""The mixture without exploration; the loop does not read it then."""
 FIRST_FRAMES = 256
 """The number of frames per episode to allocate at first."""
 
@@ -142,7 +144,9 @@ class FusedCollector(EpisodeCollector):
             key(self.lanes.seed, self.lanes.stream),
             key(self.lanes.seed, Stream.ACTION),
             arrays(self.network, acting),
-            mixture_array(strategy.checked_mixture(self.trials), self.trials),
+            mixture_array(strategy.checked_mixture(self.trials), self.trials)
+            if explore
+            else GREEDY,
             explore,
         )
 
