@@ -1,4 +1,4 @@
-"""The README's Python runs as it stands there."""
+"""The Python of the README and of docs/torchrl.md runs as it stands there."""
 
 from __future__ import annotations
 
@@ -20,6 +20,17 @@ def test_a_strategy_and_the_loss_in_a_project_of_ones_own():
     data = scope["data"]
     assert (data["action_log_prob"].exp() >= 0.05 - 1e-6).all()  # epsilon 0.1 over two actions
     assert scope["logits"].module.weight.grad.abs().sum() > 0
+
+
+def test_the_page_for_torchrl_programs():
+    page = (Path(__file__).resolve().parents[1] / "docs" / "torchrl.md").read_text(encoding="utf-8")
+    scope: dict[str, Any] = {}
+    exec("".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL)), scope)
+    assert scope["data"]["action_log_prob"].isfinite().all()
+    assert scope["network"].module.weight.grad.abs().sum() > 0
+    files = (Path(__file__).resolve().parents[1] / "conf" / "strategy").glob("*.yaml")
+    targets = [re.search(r"_target_: [\w.]+\.(\w+)", file.read_text("utf-8")) for file in files]
+    assert {target[1] for target in targets if target} <= set(re.findall(r"`(\w+)`", page))
 
 
 def test_a_strategy_of_ones_own():

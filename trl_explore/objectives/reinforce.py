@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, cast
 
-import numpy as np
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
 from tensordict.nn import ProbabilisticTensorDictSequential, dispatch
@@ -19,13 +18,14 @@ from trl_explore.checks import check_flag, check_integer, check_number, settle
 from trl_explore.numerics.score import linear_softmax_score
 from trl_explore.objectives.baselines import Baseline, Constant, as_baseline
 from trl_explore.objectives.corrections import Correction, NoCorrection, log_ratio_of
-from trl_explore.objectives.episodes import Episodes, read_episodes
+from trl_explore.objectives.episodes import Episodes
 from trl_explore.objectives.linear_softmax import closed_form, linear_weight_key
+from trl_explore.objectives.reading import read_episodes
 from trl_explore.policies import LinearPolicy
 from trl_explore.policies.actor import (
     GaussianActor,
     fitted,
-    frame_distribution,
+    frame_entropy,
     frame_log_prob,
     is_softmax,
 )
@@ -228,7 +228,7 @@ class ReinforceLoss(LossModule):
                 score = linear_softmax_score(observation, weight, action, factor, episodes.trial)
             trial_loss = score * -self.weight
             if self.entropy_coeff:
-                bonus = episodes.by_trial(episodes.flat(_entropy(self.actor_network, frames)))
+                bonus = episodes.by_trial(episodes.flat(frame_entropy(self.actor_network, frames)))
                 trial_loss = trial_loss - self.weight * self.entropy_coeff * bonus
         trial_loss = episodes.over_agents(trial_loss)
         out = {"loss_actor": self._reduce(trial_loss), "trial_loss": trial_loss.detach()}
@@ -321,7 +321,7 @@ class ReinforceLoss(LossModule):
         baseline = self.baseline(episodes)
         factor = self.correction.advantage(episodes, baseline, log_ratio)
         if self.discount_steps:
-            factor = factor * _powers(self.gamma, episodes.step).to(factor.dtype)
+            factor = factor * episodes.discount
         if self.normalize_advantage:
             factor = factor - episodes.trial_mean(factor)[episodes.trial]
             variance = episodes.trial_mean(factor**2)[episodes.trial]
@@ -355,25 +355,5 @@ def _checked(actor: object, correction: Correction) -> Correction:
     return correction
 
 
-def _entropy(actor: ProbabilisticTensorDictSequential, frames: TensorDictBase) -> Tensor:
-    """H(π(·|s)) of every frame."""
-    distribution: Any = frame_distribution(actor, frames)
-    try:
-        return distribution.entropy()
-    except NotImplementedError:
-        name = type(distribution).__name__
-        raise ValueError(f"entropy_coeff must be 0: {name} has no entropy in closed form") from None
-
-
 def _never() -> bool:
     return False
-
-
-def _powers(gamma: float, exponent: Tensor) -> Tensor:
-    """γ^k of each k in ``exponent`` [n], as products in a fixed order.
-
-    The vectorised power differs in its last bit with the place of a number in the batch.
-    """
-    count = int(exponent.max()) if exponent.numel() else 0
-    table = np.multiply.accumulate(np.array([1.0, *[gamma] * count]))
-    return torch.from_numpy(table).to(exponent.device)[exponent]

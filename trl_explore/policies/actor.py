@@ -255,6 +255,20 @@ def frame_distribution(
     return SoftmaxCategorical(logits, mask)
 
 
+def frame_entropy(actor: ProbabilisticTensorDictSequential, tensordict: TensorDictBase) -> Tensor:
+    """H(π(·|s)) of every frame (nats), shaped as ``frame_log_prob``.
+
+    Raises:
+        ValueError: if the distribution has no entropy in closed form.
+    """
+    distribution: Any = frame_distribution(actor, tensordict)
+    try:
+        return distribution.entropy()
+    except NotImplementedError:
+        name = type(distribution).__name__
+        raise ValueError(f"entropy_coeff must be 0: {name} has no entropy in closed form") from None
+
+
 def has_linear_softmax(actor: ProbabilisticTensorDictSequential) -> bool:
     """Whether π = softmax(W[trial] observation), whose gradient has a closed form.
 

@@ -81,7 +81,11 @@ class ContinuousBehaviourActor(ProbabilisticActor):
 
     def __init__(self, actor: ProbabilisticActor, strategy: ContinuousStrategy) -> None:
         networks: Any = actor.module[:-1]
-        keys: Any = {"loc": strategy.loc_key, "scale": strategy.scale_key, "trial": "trial"}
+        keys: Any = {
+            "loc": strategy.loc_key,
+            "scale": strategy.scale_key,
+            "trial": strategy.trial_key,
+        }
         super().__init__(
             cast(Any, TensorDictSequential(*networks)),
             in_keys=keys,
@@ -119,12 +123,13 @@ class _Probs(TensorDictModuleBase):
         self.in_keys = [strategy.logits_key]  # pyright: ignore[reportAttributeAccessIssue]
         self.out_keys = ["probs"]  # pyright: ignore[reportAttributeAccessIssue]
         self.probs, self.mask_key = strategy.probs, strategy.action_mask_key
+        self.trial_key = strategy.trial_key
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         logits, mask = tensordict.get(self.in_keys[0]), tensordict.get(self.mask_key, None)
         if mask is not None:
             logits = masked_logits(logits, mask)
-        probs = self.probs(logits, tensordict.get("trial", None))
+        probs = self.probs(logits, tensordict.get(self.trial_key, None))
         return tensordict.set("probs", _connected(probs, logits))
 
 
