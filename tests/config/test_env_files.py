@@ -23,7 +23,7 @@ from trl_explore.envs.kernels import kernel_of
 
 CONF = Path(__file__).resolve().parents[2] / "conf" / "env"
 FILES = {path.stem: OmegaConf.load(path) for path in sorted(CONF.glob("*.yaml"))}
-GYM = FILES.pop("gym")
+ANY = {name: FILES.pop(name) for name in ("gym", "torchrl")}
 FEATURES = {  # name: number of features, of actions or of their components
     "acrobot": (6, 3),
     "bipedalwalker": (24, 4),

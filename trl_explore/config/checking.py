@@ -16,6 +16,7 @@ from trl_explore.config.files import (
     INERT,
     ConfigError,
     defaults_of,
+    group_defaults,
     load,
     same,
     schedules_of,
@@ -41,7 +42,7 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
             raise ConfigError(f"unknown key {name!r}; known: {', '.join(sorted(known))}")
     for name in sorted(known - {str(key) for key in config}):
         raise ConfigError(f"missing key: {name}")
-    for name in ("episodes", "restart", "diagnostics"):
+    for name in ("episodes", "restart", "diagnostics", "debug"):
         if not isinstance(config[name], bool):
             raise ConfigError(f"{name} must be true or false, got {config[name]!r}")
     for group in GROUPS:
@@ -53,9 +54,9 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
 def _check_group(config: DictConfig, group: str, option: str | None) -> None:
     if not isinstance(config[group], DictConfig):
         raise ConfigError(f"{group} must name a file of conf/{group}/, got {config[group]}")
-    allowed = {str(key) for key in load(f"{group}/{option}")}
-    if not allowed:
+    if not load(f"{group}/{option}"):
         return  # the user's own file; the constructor checks its keys
+    allowed = {str(key) for key in group_defaults(group, option)}
     given = {str(key) for key in config[group]}
     for name in sorted(given - allowed):
         shown = sorted(key for key in allowed if not key.startswith("_"))
@@ -96,7 +97,11 @@ def resolved(config: DictConfig) -> dict[str, Any]:
     except MissingMandatoryValue as error:
         raise ConfigError(f"{error.full_key} must be set, e.g. {error.full_key}=…") from None
     except OmegaConfBaseException as error:
-        raise ConfigError(first_line(error)) from None
+        line = first_line(error)
+        missing = re.search(r"Missing mandatory value: (\S+)", line)  # which another key refers to
+        if missing:
+            line = f"{missing[1]} must be set, e.g. {missing[1]}=…"
+        raise ConfigError(line) from None
     assert isinstance(container, dict)
     return cast(dict[str, Any], container)
 
