@@ -27,6 +27,7 @@ from trl_explore.config import (
     job_name,
     resolved,
 )
+from trl_explore.config.building import STOPPING
 from trl_explore.config.kinds import options
 
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
@@ -35,8 +36,10 @@ MANDATORY = {
     ("env", "gym"): ["env.id=Acrobot-v1", "env.max_steps=20"],
     ("policy", "tabular"): ["env=gym", "env.id=FrozenLake-v1"],
 }
+TORCHRL = ["env.target=torchrl.envs.PendulumEnv", "env.max_steps=9", "score_threshold=0"]
 PENDULUM = ["env=pendulum", "env.max_steps=20"]
 GAUSSIAN = ["policy=gaussian_linear", "strategy=gaussian"]
+MANDATORY["env", "torchrl"] = [*TORCHRL, *GAUSSIAN]
 MANDATORY |= {
     ("env", name): [*GAUSSIAN, "env.max_steps=20"]
     for name in ("bipedalwalker", "bipedalwalker_hardcore", "pendulum")
@@ -246,7 +249,8 @@ def test_different_values_never_share_a_name():
 
 
 @pytest.mark.parametrize(
-    "override", ["output_dir=elsewhere", "restart=true", "threads=2", "episodes=false"]
+    "override",
+    ["output_dir=elsewhere", "restart=true", "threads=2", "episodes=false", "debug=true"],
 )
 def test_what_changes_no_result_is_not_in_the_name(override):
     assert override.split("=")[0] in INERT
@@ -478,7 +482,25 @@ WRONG = [
     (("env.max_steps=0",), "env: max_steps ... >= 1 ... 0"),
     (("env.id=NoSuch-v0",), "env: ... 'NoSuch-v0'"),
     (("env.id=Pendulum-v1",), "continuous actions ... Softmax and LinearPolicy"),
-    (("env.id=Blackjack-v1",), "env: ... 'Blackjack-v1' ... Tuple"),
+    (("env.wrappers=3",), "env.wrappers must be a list, env.wrappers=[{_target_: ... got 3"),
+    (("env.wrappers=[3]",), "env.wrappers[0] must name a class ... got 3"),
+    (("env.transforms=[{a: 1}]",), "env.transforms[0] must name a class ... {'a': 1}"),
+    (("env.transforms=[{_target_: torchrl.envs.No}]",), "env: ... torchrl.envs.No"),
+    (("env.wrappers=[{_target_: gymnasium.wrappers.No}]",), "env: ... gymnasium.wrappers.No"),
+    (
+        ("env.wrappers=[{_target_: gymnasium.wrappers.TimeLimit}]",),
+        "env: the wrapper TimeLimit ... 'CartPole-v1' ... max_episode_steps",
+    ),
+    (
+        ("env.wrappers=[{_target_: builtins.id}]",),
+        "env: the wrapper id makes a int, not a gymnasium.Env",
+    ),
+    (
+        ("env.transforms=[{_target_: torchrl.envs.VecNormV2, in_keys: [observation]}]",),
+        "env: the transform VecNormV2 mixes trials",
+    ),
+    (("+env.attributes.masscart=5",), "env: ... computed total_mass from masscart"),
+    (("env=torchrl", "env.target=no.Env", *TORCHRL[1:]), "env: there is no class 'no.Env'"),
     (
         ("env.id=CliffWalking-v1", "env.max_steps=null"),
         "CliffWalking-v1 ... max_steps",
@@ -544,6 +566,32 @@ def test_differences():
 
 
 # Building
+
+
+def test_wrappers_and_transforms_are_built_and_recorded():
+    config, _ = composed(
+        "trials=2",
+        "env.wrappers=[{_target_: gymnasium.wrappers.TimeAwareObservation}]",
+        "env.transforms=[{_target_: torchrl.envs.CatFrames, N: 3, dim: -1, in_keys: [observation]},"
+        "{_target_: torchrl.envs.RewardScaling, loc: 0, scale: 0.5}]",
+    )
+    trainer = build_trainer(config)
+    frames = trainer.collector.collect().frames
+    assert frames["observation"].shape[1] == 15
+    assert (frames["next", "reward"] == 0.5).all()
+    last = frames["next", "done"].squeeze(-1)
+    assert (frames["next", "episode_reward"][last] == frames["next", "step_count"][last]).all()
+    recorded = resolved(config)["env"]
+    assert recorded["transforms"][1]["scale"] == 0.5
+    assert recorded["wrappers"] == [{"_target_": "gymnasium.wrappers.TimeAwareObservation"}]
+
+
+def test_an_environment_that_its_user_constructs_gets_its_own_keys_only():
+    """Not those that ``train.yaml`` gives every environment."""
+    config, _ = composed()
+    own = {"_target_": "trl_explore.envs.make_env", "id": "CartPole-v1", "max_steps": 9}
+    config.env = own | {key: config.env[key] for key in STOPPING}
+    assert build_trainer(config).collector.lanes.max_steps == 9
 
 
 def test_what_is_built_follows_the_configuration():

@@ -26,7 +26,7 @@ FILES = {
     path.stem: OmegaConf.create({"env": OmegaConf.load(path)}).env  # they refer to "env.…"
     for path in sorted(CONF.glob("*.yaml"))
 }
-GYM = FILES.pop("gym")
+ANY = {name: FILES.pop(name) for name in ("gym", "torchrl")}
 FEATURES = {  # name: number of features, of actions or of their components
     "acrobot": (6, 3),
     "bipedalwalker": (24, 4),

@@ -136,5 +136,5 @@ def test_what_does_not_exist():
     for size in (0, -3, 2.5, True, "4"):
         with pytest.raises(ValueError, match=f"layer.*>= 1.*{size}"):
             initial_weights([4, size, 2], 3)
-    with pytest.raises(ValueError, match=r"layer.*<= 100000.*1000000"):
-        initial_weights([4, 10**6, 2], 3)
+    with pytest.raises(ValueError, match=r"layer.*<= 1000000.*10000000"):
+        initial_weights([4, 10**7, 2], 3)

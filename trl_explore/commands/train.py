@@ -57,7 +57,7 @@ def run(config: DictConfig) -> None:
             signals.check()  # the error may be a converted signal
             raise
     except Exception as error:  # no error of a job stops the other jobs of the sweep
-        if TRACEBACK in os.environ:
+        if TRACEBACK in os.environ or config.debug is True:
             traceback.print_exc()
         line = configuration.describe(error)
         if not isinstance(error, EXPECTED):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+import logging
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -10,7 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.types import RunMode
 from hydra.utils import get_object, instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from trl_explore.checks import LARGEST, MAX_THREADS, check_integer, check_number
 from trl_explore.config.checking import describe
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
     from trl_explore.training.shards import Shards
     from trl_explore.training.trainer import Trainer
 
+logger = logging.getLogger(__name__)
+
 INTEGERS = {
     "seed": (0, LARGEST),
     "trials": (1, 10**7),
@@ -36,6 +40,13 @@ INTEGERS = {
     "evaluate_confirm": (20, 10**6),
 }
 """The top-level keys that hold an integer, and their bounds."""
+SHARED = ("kwargs", "attributes", "wrappers", "transforms", "workers")
+"""The keys of ``env`` that ``train.yaml`` gives every environment."""
+PARTS = {
+    "wrappers": "gymnasium.wrappers.TimeAwareObservation",
+    "transforms": "torchrl.envs.SignTransform",
+}
+"""The keys of ``env`` that hold a list of constructors, each with an example."""
 POLICIES = ("greedy", "sampled")
 """How evaluations play π."""
 STOPPING = ("max_iterations", "score_threshold", "score_window", "evaluate_confirm")
@@ -123,7 +134,8 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     """Build the trainer of some of the trials; only one of a job's announces the collector."""
     from tensordict.nn import TensorDictSequential
 
-    from trl_explore.collectors import auto_collector
+    from trl_explore.collectors import FusedCollector, auto_collector
+    from trl_explore.envs.probing import remarks
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.record import Trials
@@ -144,7 +156,10 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     strategy = _instantiate(config, "strategy")()
     if size < config.trials:
         _build("strategy", lambda: strategy.take(rows, config.trials))
-    env = _instantiate(config, "env", without=STOPPING)(trials=size, **streams)
+    make = _environment(config)
+    if announce:
+        _check_transforms(config, make)
+    env = make(trials=size, **streams)
     check_actions(config, env.action_spec.domain)
     policy = _instantiate(config, "policy")(env=env, **streams)
     baseline = _instantiate(config, "baseline")()
@@ -164,6 +179,9 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     quiet = {"announce": False} if auto and not announce else {}
     both = TensorDictSequential(policy, strategy)
     collector = _instantiate(config, "collector")(env, both, **quiet)
+    if announce and not isinstance(collector, FusedCollector):  # that one has no copies
+        for line in _build("env", lambda: remarks(collector.lanes)):
+            logger.info(line)
     diagnostics = None
     if config.diagnostics:
         diagnostics = Diagnostics(actor, strategy, size, policy.parameters())
@@ -198,6 +216,49 @@ def _intrinsic(
     return CountReward(beta, trials, env.action_spec.space.n, one_hot=tabular, **streams)
 
 
+def _environment(config: DictConfig) -> Callable[..., Any]:
+    """The constructor of the environment, with its wrappers and transforms."""
+    env = config.env
+    for key in PARTS:
+        _check_parts(key, env.get(key))
+    # An empty value is the constructor's default; the user's own constructor may not know the key.
+    without = [*STOPPING, "target", *(key for key in SHARED if not env.get(key) or env[key] == 1)]
+    plain = cast(dict[str, Any], OmegaConf.to_container(env, resolve=True))
+    for wrapper in plain.get("wrappers") or []:
+        wrapper["_partial_"] = True
+    plain = {key: value for key, value in plain.items() if key not in without}
+    return _instantiate(OmegaConf.create({"env": plain}), "env")
+
+
+def _check_transforms(config: DictConfig, make: Callable[..., Any]) -> None:
+    """Reject transforms that mix trials, or fail; each error names the transform."""
+    from trl_explore.envs.transforms import check_transforms
+
+    nodes = config.env.get("transforms") or []
+
+    def build() -> list[Any]:
+        return [instantiate(node, _convert_="all") for node in nodes]
+
+    if nodes:
+        _build("env", lambda: check_transforms(build, partial(make, seed=config.seed)))
+
+
+def _check_parts(key: str, nodes: Any) -> None:
+    """Reject wrappers or transforms that are not a list of constructors.
+
+    Raises:
+        ConfigError: naming the key and its form.
+    """
+    if nodes is None:
+        return
+    form = f"env.{key}=[{{_target_: {PARTS[key]}, ...}}]"
+    if not isinstance(nodes, ListConfig):
+        raise ConfigError(f"env.{key} must be a list, {form}, got {nodes!r}")
+    for k, node in enumerate(nodes):
+        if not isinstance(node, DictConfig) or not isinstance(node.get("_target_"), str):
+            raise ConfigError(f"env.{key}[{k}] must name a class, {form}, got {node!r}")
+
+
 def _evaluator(
     config: DictConfig,
     env: Any,
@@ -226,9 +287,7 @@ def _evaluator(
             return None
     greedy = config.evaluate_policy == "greedy"
     collector = auto_collector(
-        _instantiate(config, "env", without=STOPPING)(
-            trials=trials, stream=Stream.EVALUATION, **streams
-        ),
+        _environment(config)(trials=trials, stream=Stream.EVALUATION, **streams),
         both,
         announce=False,
         exploration_type=ExplorationType.DETERMINISTIC if greedy else ExplorationType.RANDOM,
@@ -254,18 +313,12 @@ def _parameters(policy: nn.Module, baseline: Baseline) -> Iterable[Any]:
     return [{"params": list(policy.parameters())}, {"params": learned, "lr": baseline.lr}]
 
 
-def _instantiate(
-    config: DictConfig, group: str, *, without: Collection[str] = ()
-) -> Callable[..., Any]:
-    """The constructor that a group's configuration describes, without some of its keys."""
+def _instantiate(config: DictConfig, group: str) -> Callable[..., Any]:
+    """The constructor that a group's configuration describes."""
 
     def construct(*args: Any, **kwargs: Any) -> Any:
         def call() -> Any:
-            node = OmegaConf.masked_copy(
-                config[group], [k for k in config[group] if k not in without]
-            )
-            node._set_parent(config)
-            built = instantiate(node, _convert_="all", _partial_=True)
+            built = instantiate(config[group], _convert_="all", _partial_=True)
             return built(*args, **kwargs)
 
         return _build(group, call)

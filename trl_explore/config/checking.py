@@ -17,6 +17,7 @@ from trl_explore.config.files import (
     INERT,
     ConfigError,
     defaults_of,
+    group_defaults,
     load,
     same,
     schedules_of,
@@ -43,7 +44,7 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
             raise ConfigError(f"unknown key {name!r}; known: {', '.join(sorted(known))}")
     for name in sorted(known - {str(key) for key in config}):
         raise ConfigError(f"missing key: {name}")
-    for name in ("episodes", "restart", "diagnostics"):
+    for name in ("episodes", "restart", "diagnostics", "debug"):
         if not isinstance(config[name], bool):
             raise ConfigError(f"{name} must be true or false, got {config[name]!r}")
     for group in GROUPS:
@@ -56,9 +57,9 @@ def _check_group(config: DictConfig, group: str, choices: Mapping[str, str | Non
     if not isinstance(config[group], DictConfig):
         raise ConfigError(f"{group} must name a file of conf/{group}/, got {config[group]}")
     option = choices.get(group)
-    allowed = {str(key) for key in load(f"{group}/{option}")} - {"defaults"}
-    if not allowed:
+    if not load(f"{group}/{option}"):
         return  # the user's own file; the constructor checks its keys
+    allowed = {str(key) for key in group_defaults(group, option)}
     parts = strategies_of(choices)
     allowed |= {key.removeprefix(f"{group}.") for key in parts if key.startswith(f"{group}.")}
     given = {str(key) for key in config[group]}
@@ -101,7 +102,11 @@ def resolved(config: DictConfig) -> dict[str, Any]:
     except MissingMandatoryValue as error:
         raise ConfigError(f"{error.full_key} must be set, e.g. {error.full_key}=…") from None
     except OmegaConfBaseException as error:
-        raise ConfigError(first_line(error)) from None
+        line = first_line(error)
+        missing = re.search(r"Missing mandatory value: (\S+)", line)  # which another key refers to
+        if missing:
+            line = f"{missing[1]} must be set, e.g. {missing[1]}=…"
+        raise ConfigError(line) from None
     assert isinstance(container, dict)
     return cast(dict[str, Any], container)
 

@@ -22,7 +22,7 @@ SCHEDULE = "schedule@"
 ``+schedule@strategy.temperature=linear``."""
 INERT = (
     "output_dir", "restart", "threads", "episodes", "collector.threads", "env.workers",
-    "checkpoint_seconds",
+    "checkpoint_seconds", "debug",
 )  # fmt: skip
 """Keys that do not change results; they are not part of a job's name or identity."""
 STRATEGY = "strategy@"
@@ -59,8 +59,7 @@ def _defaults(items: tuple[tuple[str, str | None], ...]) -> DictConfig:
     choices = dict(items)
     defaults = load("train").copy()
     for group in GROUPS:
-        defaults[group] = load(f"{group}/{choices.get(group)}").copy()
-        defaults[group].pop("defaults", None)
+        defaults[group] = group_defaults(group, choices.get(group))
     for key, option in strategies_of(choices).items():
         OmegaConf.update(defaults, key, load(f"strategy/{option}"), merge=False)
     defaults = OmegaConf.merge(defaults, load(f"experiment/{choices.get('experiment')}"))
@@ -71,6 +70,15 @@ def _defaults(items: tuple[tuple[str, str | None], ...]) -> DictConfig:
         if (schedule := load(f"schedule/{option}")) and OmegaConf.select(defaults, key) is not None:
             OmegaConf.update(defaults, key, schedule, merge=False)
     return defaults
+
+
+def group_defaults(group: str, option: str | None) -> DictConfig:
+    """The values of a group: those that every option has in ``train.yaml``, then the file's own."""
+    shared, own = load("train").get(group), load(f"{group}/{option}")
+    merged = OmegaConf.merge(shared, own) if isinstance(shared, DictConfig) else own.copy()
+    assert isinstance(merged, DictConfig)
+    merged.pop("defaults", None)
+    return merged
 
 
 @cache

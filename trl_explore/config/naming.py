@@ -124,4 +124,10 @@ def _default(defaults: DictConfig, config: DictConfig, key: str) -> Any:
         return ABSENT
     unresolved = cast(dict[str, Any], OmegaConf.to_container(node))
     pointer = re.fullmatch(r"\$\{([\w.]+)\}", str(unresolved[name]))
-    return OmegaConf.select(config, pointer[1]) if pointer else node[name]
+    if pointer:
+        return OmegaConf.select(config, pointer[1])
+    if "${" not in str(unresolved[name]):
+        return node[name]
+    given = OmegaConf.select(config, parent) if parent else config
+    text = cast(dict[str, Any], OmegaConf.to_container(given))[name]
+    return given[name] if text == unresolved[name] else ABSENT

@@ -6,6 +6,7 @@ the program uses it: no value of a wrong type or shape is converted in silence.
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from math import isfinite
@@ -123,7 +124,7 @@ class Copies:
             self._places[row] = trial, episode
             try:
                 answer = self._sources[row].reset(seed, stream, trial, episode)
-            except (Exception, SystemExit) as error:
+            except (Exception, SystemExit, KeyboardInterrupt) as error:
                 raise self._raised(row, error) from error
             if type(answer) is not tuple or len(answer) != 2 or not isinstance(answer[1], dict):
                 raise self.error(
@@ -154,7 +155,7 @@ class Copies:
         for row, action in zip(rows, actions, strict=True):
             try:
                 answer = steps[row](action)
-            except (Exception, SystemExit) as error:
+            except (Exception, SystemExit, KeyboardInterrupt) as error:
                 raise self._raised(row, error) from error
             try:
                 observation, reward, end, cut, info = answer
@@ -192,6 +193,12 @@ class Copies:
         return EnvError(f"environment {self.id!r} {what} in episode {episode} of trial {trial}")
 
     def _raised(self, row: int, error: BaseException) -> EnvError:
+        """What an environment has raised, as one line; Ctrl-C goes on as it is."""
+        if isinstance(error, KeyboardInterrupt):
+            # Where Ctrl-C has another handler, a plain KeyboardInterrupt is the environment's own.
+            default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+            if default or type(error) is not KeyboardInterrupt:
+                raise error
         trial, episode = self._places[row]
         message = " ".join(str(error).split())
         return EnvError(

@@ -77,8 +77,9 @@ def _writer(space: spaces.Space[Any], name: str) -> Write:
     if isinstance(space, spaces.Tuple):
         return _parts(tuple, list(range(len(space.spaces))), list(space.spaces), name)
     raise UnsupportedSpaceError(
-        f"observation space {space}, but must have Box, Discrete, MultiDiscrete, MultiBinary, "
-        "or a Dict or Tuple of them"
+        f"{name} space {space}, but must have Box, Discrete, MultiDiscrete, MultiBinary, "
+        "or a Dict or Tuple of them; a wrapper can leave a part out (env.wrappers, "
+        "gymnasium.wrappers.FilterObservation)"
     )
 
 

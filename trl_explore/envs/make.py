@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, cast
 
+import gymnasium as gym
 import torch
 from gymnasium.spaces import Discrete
 from torchrl.data import Binary
@@ -13,6 +14,7 @@ from torchrl.envs import (
     EnvBase,
     RewardSum,
     StepCounter,
+    Transform,
     TransformedEnv,
     default_info_dict_reader,
 )
@@ -33,20 +35,23 @@ def make_env(
     first_trial: int = 0,
     kwargs: Mapping[str, Any] | None = None,
     attributes: Mapping[str, Any] | None = None,
+    wrappers: Sequence[Callable[[gym.Env], gym.Env]] = (),
+    transforms: Sequence[Transform] = (),
     stream: Stream = Stream.ENVIRONMENT,
     workers: int | None = 1,
 ) -> TransformedEnv:
     """Any gymnasium environment as a TorchRL environment with batch size [trials].
 
     It is a ``GymWrapper`` over ``LaneVectorEnv``, with the transforms ``StepCounter``
-    ("step_count") and ``RewardSum`` ("episode_reward"). Observations are vectors: a Box is
-    flattened, a Discrete one is one-hot encoded. Actions are indices, or vectors; the environment
-    gets vectors clipped to its bounds, and the data keep them as drawn. If the gymnasium
-    environment has ``info["action_mask"]``, there is an observation "action_mask"
-    [trials, n_actions] (bool).
+    ("step_count") and ``RewardSum`` ("episode_reward"), followed by the user's transforms: the
+    policy and the loss see what these make, and the score stays that of the environment.
+    Observations are vectors: a Box is flattened, a Discrete one is one-hot encoded, the parts of a
+    Dict or a Tuple follow each other. Actions are indices, or vectors; the environment gets vectors
+    clipped to its bounds, and the data keep them as drawn. If the gymnasium environment has
+    ``info["action_mask"]``, there is an observation "action_mask" [trials, n_actions] (bool).
 
     Args:
-        id: gymnasium id.
+        id: gymnasium id; ``torchrl:module.Class`` is a TorchRL environment of batch size [].
         trials: number of lanes.
         max_steps: time limit of an episode; None means the registered limit.
         seed: seed of the job.
@@ -54,6 +59,8 @@ def make_env(
         kwargs: arguments of the environment's constructor.
         attributes: attributes to replace after construction: constants that the constructor does
             not take. A kernel reads them from the same environment.
+        wrappers: gymnasium wrappers, from the inside to the outside; each trial has its own.
+        transforms: TorchRL transforms, in this order; ``check_transforms`` says which are served.
         stream: the random stream of each trial that the environment uses.
         workers: number of processes that step the lanes, including this one; None: one per
             processor. Results do not depend on it.
@@ -74,6 +81,7 @@ def make_env(
         first_trial=first_trial,
         kwargs=kwargs,
         attributes=attributes,
+        wrappers=wrappers,
         stream=stream,
         workers=workers,
     )
@@ -83,8 +91,12 @@ def make_env(
         spec = Binary(n, shape=torch.Size([trials, n]), dtype=torch.bool)
         reader = default_info_dict_reader(["action_mask"], spec=[spec])
         env.set_info_dict_reader(reader)
-    transforms = [StepCounter(), RewardSum()]
-    return TransformedEnv(env, Compose(*transforms))
+    return TransformedEnv(env, Compose(*[StepCounter(), RewardSum(), *transforms]))
+
+
+def own_transforms(env: EnvBase) -> list[Transform]:
+    """The transforms of an environment of ``make_env`` that its user has added."""
+    return list(cast(Iterable[Transform], cast(TransformedEnv, env).transform))[2:]
 
 
 def lane_env(env: EnvBase) -> LaneVectorEnv:

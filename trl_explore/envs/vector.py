@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from math import isfinite
 from typing import Any
@@ -16,10 +17,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from trl_explore.checks import LARGEST, check_integer
-from trl_explore.envs.copies import Copies, EnvError, Signals
+from trl_explore.envs.copies import Copies, EnvError, Make, Signals
 from trl_explore.envs.flattening import Actions, UnsupportedSpaceError, flat_observations
 from trl_explore.envs.gym import make_gym
-from trl_explore.envs.probing import has_masks
 from trl_explore.envs.processes import ProcessCopies
 from trl_explore.numerics.streams import Stream, generator
 
@@ -53,6 +53,7 @@ class LaneVectorEnv(VectorEnv):
         first_trial: trial index of lane 0.
         kwargs: arguments of the environment's constructor.
         attributes: see ``make_gym``.
+        wrappers: see ``make_gym``.
         stream: the random stream of each trial that the environment uses.
         workers: number of processes that step the lanes, including this one; None: one per
             processor, with at least ``MIN_LANES`` lanes each. Results do not depend on it.
@@ -73,6 +74,7 @@ class LaneVectorEnv(VectorEnv):
         first_trial: int = 0,
         kwargs: Mapping[str, Any] | None = None,
         attributes: Mapping[str, Any] | None = None,
+        wrappers: Sequence[Callable[[gym.Env], gym.Env]] = (),
         stream: Stream = Stream.ENVIRONMENT,
         workers: int | None = 1,
     ) -> None:
@@ -80,12 +82,15 @@ class LaneVectorEnv(VectorEnv):
         check_integer("first_trial", first_trial, 0, LARGEST - num_envs)
         check_integer("seed", seed, 0)
         self.workers = _workers(workers, num_envs)
-        make = partial(make_gym, id, max_steps, dict(kwargs or {}), dict(attributes or {}))
+        make = partial(
+            make_gym, id, max_steps, dict(kwargs or {}), dict(attributes or {}), tuple(wrappers)
+        )
+        self.make = make
         # A collector that compiles the environment never steps the lanes: build them on first use.
         env = make()
         limit = env.spec.max_episode_steps if env.spec is not None else max_steps
         if limit is None:
-            raise ValueError(f"environment {id!r} has no registered time limit; set max_steps")
+            raise ValueError(f"environment {id!r} has no registered time limit; set env.max_steps")
         self.id, self.max_steps = id, limit
         self.num_envs = num_envs
         self.spec = env.spec
@@ -105,7 +110,7 @@ class LaneVectorEnv(VectorEnv):
         n_features = self.single_observation_space.shape[0]
         self.has_masks, masked = False, 0
         if isinstance(env.action_space, Discrete):
-            self.has_masks = has_masks(id, make, self.actions, n_features, first_trial)
+            self.has_masks = _has_masks(id, make, self.actions, n_features, first_trial)
             masked = int(env.action_space.n) if self.has_masks else 0
         self.signals = Signals.of(num_envs, n_features, masked)
         self._flat = self.signals.observation.reshape(-1)
@@ -242,3 +247,38 @@ def processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def _has_masks(id: str, make: Make, actions: Actions, n_features: int, trial: int) -> bool:
+    """Whether an environment returns ``info["action_mask"]`` at its first reset or step.
+
+    A separate copy is played, so that all lanes start from the same state.
+
+    Args:
+        id: gymnasium id.
+        make: the constructor.
+        actions: the actions of the environment.
+        n_features: the length of an observation.
+        trial: the trial whose first episode is played.
+
+    Raises:
+        EnvError: if the reset fails, or returns what it must not.
+    """
+    probe = _Probe(id, make, Signals.of(1, n_features, 0))
+    try:
+        probe.reset([0], [trial], [0], 0, Stream.ENVIRONMENT)
+        if not probe.masks:
+            with suppress(EnvError):  # training meets the same error, and reports it
+                probe.step([0], actions.read(np.zeros(1, np.int64)))
+        return probe.masks
+    finally:
+        probe.close()
+
+
+class _Probe(Copies):
+    """A copy that notes whether an environment returns masks."""
+
+    masks = False
+
+    def _check_info(self, row: int, info: Any) -> None:
+        self.masks |= "action_mask" in info

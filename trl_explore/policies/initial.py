@@ -14,7 +14,7 @@ from torch import Tensor
 from trl_explore.checks import check_integer, check_number
 from trl_explore.numerics.streams import Stream, generator
 
-WIDEST = 100_000
+WIDEST = 1_000_000
 """The largest number of units per layer; more is treated as a mistake."""
 
 Draw = Callable[[np.random.Generator, int, int], NDArray[np.float64]]

@@ -57,7 +57,9 @@ def is_one_hot(env: EnvBase) -> bool:
     """Whether the observations are one-hot states."""
     from gymnasium.spaces import Discrete
 
-    return isinstance(observation_space(env), Discrete)
+    from trl_explore.envs.make import own_transforms
+
+    return isinstance(observation_space(env), Discrete) and not own_transforms(env)
 
 
 def has_hooks(module: nn.Module) -> bool:

@@ -1,0 +1,258 @@
+"""What an environment returns is checked, and what it raises is placed."""
+
+from __future__ import annotations
+
+import signal
+from fractions import Fraction
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
+
+from trl_explore.envs import LaneVectorEnv
+from trl_explore.envs.copies import EnvError
+
+GOOD = (np.zeros(3, np.float32), 1.0, False, False, {})
+
+
+class Odd(gym.Env):
+    """In its second episode, the second step does what the test has set."""
+
+    observation_space = spaces.Box(-np.inf, np.inf, (3,), np.float32)
+    action_space = spaces.Discrete(2)
+    step_answer = staticmethod(lambda: GOOD)
+    reset_answer = staticmethod(lambda: (GOOD[0], {}))
+
+    def __init__(self) -> None:
+        self.resets = 0
+
+    def reset(self, *, seed=None, options=None):
+        self.resets, self.steps = self.resets + 1, 0
+        return self.reset_answer() if self.resets == 2 else (GOOD[0], {})
+
+    def step(self, action):
+        self.steps += 1
+        return self.step_answer() if (self.resets, self.steps) == (2, 2) else GOOD
+
+
+@pytest.fixture
+def odd(monkeypatch):
+    monkeypatch.setitem(gym.registry, "Odd-v0", EnvSpec("Odd-v0", Odd, max_episode_steps=5))
+    return "Odd-v0"
+
+
+def play(id: str) -> LaneVectorEnv:
+    """Two episodes of two steps in the trials 6 and 7."""
+    lanes = LaneVectorEnv(id, 2, first_trial=6)
+    for _ in range(2):
+        lanes.reset()
+        for _ in range(2):
+            lanes.step(np.zeros(2, np.int64))
+    return lanes
+
+
+def answer(**changes):
+    names = ("observation", "reward", "terminated", "truncated", "info")
+    return tuple(changes.get(name, value) for name, value in zip(names, GOOD, strict=True))
+
+
+WRONG = {
+    "observation of shape (2,)": {"observation": np.zeros(2, np.float32)},
+    "observation of shape (1,)": {"observation": np.zeros(1, np.float32)},
+    "observation of shape (1, 3)": {"observation": np.zeros((1, 3), np.float32)},
+    "observation of shape ()": {"observation": 0.5},
+    "observation = array(['1', '2', '3']": {"observation": np.array(["1", "2", "3"])},
+    "observation = array([1, 2, None]": {"observation": np.array([1, 2, None], object)},
+    "observation = None": {"observation": None},
+    "observation = [[1], [2, 3]]": {"observation": [[1], [2, 3]]},
+    "observation[0] = inf": {"observation": np.array([1e300, 0, 0])},
+    "observation[2] = nan": {"observation": np.array([0, 0, np.nan], np.float32)},
+    "reward array([1.])": {"reward": np.array([1.0])},
+    "reward None": {"reward": None},
+    "reward '1.5'": {"reward": "1.5"},
+    "reward (1+2j)": {"reward": 1 + 2j},
+    "reward tensor(1.)": {"reward": torch.tensor(1.0)},
+    "reward masked": {"reward": np.ma.masked},
+    "reward nan": {"reward": float("nan")},
+    "reward inf": {"reward": 10**400},
+    "reward -inf": {"reward": np.float32(-np.inf)},
+    "reward 1e+300, which is not within ±1e+30": {"reward": 1e300},
+    "terminated = 'False', which is not a bool": {"terminated": "False"},
+    "terminated = nan": {"terminated": float("nan")},
+    "terminated = None": {"terminated": None},
+    "terminated = 1": {"terminated": 1},
+    "terminated = array([ True])": {"terminated": np.array([True])},
+    "terminated = {'__all__': False}": {"terminated": {"__all__": False}},
+    "truncated = 'False'": {"truncated": "False"},
+    "info of type NoneType": {"info": None},
+    "an action mask, but had none": {"info": {"action_mask": np.ones(2)}},
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_a_wrong_value_is_one_line_with_its_place(message, odd, monkeypatch):
+    monkeypatch.setattr(Odd, "step_answer", staticmethod(lambda: answer(**WRONG[message])))
+    with pytest.raises(EnvError) as raised:
+        play(odd)
+    line = str(raised.value)
+    assert line.startswith(f"environment 'Odd-v0' returned {message}") or (
+        line.startswith(f"environment 'Odd-v0' returned the {message}")
+    )
+    assert line.endswith("in episode 1 of trial 6")
+    assert "\n" not in line
+
+
+RIGHT = {
+    "list": ({"observation": [1, 2, 3]}, "observation", [1, 2, 3]),
+    "float64": ({"observation": np.array([1.0, 2.0, 3.0])}, "observation", [1, 2, 3]),
+    "integers": ({"observation": np.array([1, 2, 3])}, "observation", [1, 2, 3]),
+    "int": ({"reward": 3}, "reward", 3),
+    "numpy": ({"reward": np.float32(0.5)}, "reward", 0.5),
+    "zero-dimensional": ({"reward": np.array(2.5)}, "reward", 2.5),
+    "fraction": ({"reward": Fraction(1, 2)}, "reward", 0.5),
+    "true": ({"reward": True}, "reward", 1),
+    "numpy bool": ({"terminated": np.bool_(True)}, "terminated", True),
+    "truncated": ({"truncated": np.bool_(True)}, "truncated", True),
+}
+
+
+@pytest.mark.parametrize("name", RIGHT)
+def test_values_that_lose_nothing_are_taken(name, odd, monkeypatch):
+    changes, signal, expected = RIGHT[name]
+    monkeypatch.setattr(Odd, "step_answer", staticmethod(lambda: answer(**changes)))
+    assert getattr(play(odd).signals, signal)[0].tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("method", "returned", "message"),
+    [
+        ("step", GOOD[:4], r"4 values \(ndarray, float, bool, bool\) from step \(the old gym API"),
+        ("step", (*GOOD, {}), "6 values .* from step; it must return observation, reward, term"),
+        ("step", None, "one NoneType from step; it must return observation, reward"),
+        ("reset", GOOD[0], "one ndarray from reset .*old gym API.*must return observation, info"),
+        ("reset", (GOOD[0], 3), r"2 values \(ndarray, int\) from reset .*observation, info"),
+        ("reset", np.zeros(2, np.float32), "one ndarray from reset"),
+    ],
+)
+def test_old_interfaces_are_named(method, returned, message, odd, monkeypatch):
+    monkeypatch.setattr(Odd, f"{method}_answer", staticmethod(lambda: returned))
+    with pytest.raises(EnvError, match=f"'Odd-v0' returned {message}.* in episode 1 of trial 6$"):
+        play(odd)
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (RuntimeError("the simulator\nlost its licence"), ": the simulator lost its licence"),
+        (SystemExit(3), ": 3"),
+        (OSError(28, "No space left", "simulator.db"), r": \[Errno 28\].*simulator.db'"),
+        (AssertionError(), ""),
+        (StopIteration(), ""),
+        (MemoryError(), ""),
+        (ValueError("x"), ": x"),
+    ],
+)
+@pytest.mark.parametrize("method", ["step", "reset"])
+def test_an_error_is_placed(method, error, message, odd, monkeypatch):
+    def fail():
+        raise error
+
+    monkeypatch.setattr(Odd, f"{method}_answer", staticmethod(fail))
+    name = type(error).__name__
+    place = f"^environment 'Odd-v0' raised {name} in episode 1 of trial 6{message}$"
+    with pytest.raises(EnvError, match=place) as raised:
+        play(odd)
+    assert raised.value.__cause__ is error  # for the traceback
+
+
+def test_ctrl_c_is_no_error_of_the_environment(odd, monkeypatch):
+    def interrupt():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Odd, "step_answer", staticmethod(interrupt))
+    with pytest.raises(KeyboardInterrupt):
+        play(odd)
+    before = signal.signal(signal.SIGINT, lambda *_: None)  # as the command does
+    try:
+        with pytest.raises(EnvError, match=r"raised KeyboardInterrupt in episode 1 of trial 6$"):
+            play(odd)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+class Acting(gym.Env):
+    """Keeps the actions that it gets, and writes into arrays."""
+
+    observation_space = Odd.observation_space
+    action_space: spaces.Space = spaces.Discrete(2)
+
+    def __init__(self) -> None:
+        self.seen: list = []
+
+    def reset(self, *, seed=None, options=None):
+        return GOOD[0], {}
+
+    def step(self, action):
+        self.seen.append(action)
+        return GOOD
+
+
+@pytest.mark.parametrize(
+    ("space", "actions", "expected"),
+    [
+        (spaces.Discrete(2), [1, 0], [1, 0]),
+        (spaces.Discrete(2, start=-1), [1, 0], [0, -1]),
+        (spaces.MultiDiscrete([2, 3]), [5, 1], [[1, 2], [0, 1]]),
+        (spaces.MultiBinary(2), [2, 3], [[1, 0], [1, 1]]),
+        (spaces.Box(-1, 1, (2,), np.float64), [[0.5, -9], [1, 0]], [[0.5, -1], [1, 0]]),
+        (spaces.Box(-1, 1, (1, 2)), [[0.5, -9], [1, 0]], [[[0.5, -1]], [[1, 0]]]),
+        (spaces.Box(-1, 1, ()), [[0.5], [3]], [0.5, 1]),
+    ],
+)
+def test_actions_are_of_the_space(space, actions, expected, monkeypatch):
+    monkeypatch.setattr(Acting, "action_space", space)
+    monkeypatch.setitem(gym.registry, "Act-v0", EnvSpec("Act-v0", Acting, max_episode_steps=5))
+    lanes = LaneVectorEnv("Act-v0", 2)
+    lanes.reset()
+    lanes.step(np.array(actions))
+    for env, action in zip(lanes.envs, expected, strict=True):
+        (seen,) = env.unwrapped.seen  # pyright: ignore
+        assert space.contains(seen)
+        if isinstance(space, spaces.Discrete):
+            assert type(seen) is int
+            assert seen == action
+        else:
+            assert seen.flags.owndata
+            assert seen.dtype == space.dtype
+            assert seen.tolist() == action
+
+
+class LateMask(Odd):
+    """A mask that comes with steps, and not with the reset."""
+
+    def step(self, action):
+        assert action == 0
+        return *GOOD[:4], {"action_mask": [1, 0]}
+
+
+def test_a_mask_that_comes_with_steps_only_is_obeyed(monkeypatch):
+    spec = EnvSpec("Late-v0", LateMask, max_episode_steps=5)
+    monkeypatch.setitem(gym.registry, "Late-v0", spec)
+    lanes = LaneVectorEnv("Late-v0", 1)
+    assert lanes.has_masks
+    for _ in range(2):
+        assert lanes.reset()[1]["action_mask"].tolist() == [[True, True]]
+        assert lanes.step(np.zeros(1, int))[-1]["action_mask"].tolist() == [[True, False]]
+
+
+@pytest.mark.parametrize("limit", [1, 3])
+def test_the_time_limit(limit, odd):
+    lanes = LaneVectorEnv(odd, 1, limit)
+    for _ in range(3):
+        lanes.reset()
+        cuts = [bool(lanes.step(np.zeros(1, int))[3][0]) for _ in range(limit)]
+        assert cuts == [False] * (limit - 1) + [True]
+        assert not lanes.running[0]
