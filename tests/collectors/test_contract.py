@@ -210,6 +210,35 @@ def test_a_score_is_a_sum_in_double(kind, pay, steps):
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
+@pytest.mark.parametrize("k", [1, 2])
+def test_played_episodes_are_those_that_would_be_collected(kind, strategy, k):
+    """In any order, several of one trial, without a change of the counters."""
+    collector = build(kind, strategy(), max_steps=60)
+    collected = [collector.collect() for _ in range(3)]
+    played = build(kind, strategy(), max_steps=60, episodes_per_update=k)
+    trials, episodes = np.array([2, 0, 2, 3, 2]), np.array([1, 0, 2, 1, 0])
+    score, length = played.play(trials, episodes)
+    assert score.tolist() == [collected[e].score[t] for t, e in zip(trials, episodes, strict=True)]
+    assert length.tolist() == [
+        collected[e].length[t] for t, e in zip(trials, episodes, strict=True)
+    ]
+    assert played.frames == 0
+    assert (played.episodes == 0).all()
+    assert played.episodes_per_update == k
+    assert len(played.play(np.empty(0, np.int64), np.empty(0, np.int64))[0]) == 0
+
+
+def test_wrong_episodes_to_play_are_refused(kind):
+    collector = build(kind)
+    for trials in ([4], [-1], [[0]], [0, 1]):
+        with pytest.raises(ValueError, match="trials"):
+            collector.play(np.array(trials), np.array([0]))
+    collector.shutdown()
+    with pytest.raises(RuntimeError, match="shut down"):
+        collector.play(np.array([0]), np.array([0]))
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
 def test_every_frame_is_the_episode_of_its_stream(kind, strategy):
     """Noise, action, log-probability, dynamics, reward and flags, replayed one by one."""
     seed, first_trial = 5, 3

@@ -78,6 +78,8 @@ class FusedCollector(EpisodeCollector):
             )
         masked = has_mask(env)
         self._loop = compile_loop(self.kernel, self.network, masked)
+        self._outcomes = compile_loop(self.kernel, self.network, masked, records=False)
+        self._unrecorded: tuple[Any, ...] = ()
         n_masks = self.kernel.n_actions if masked else 0
         self._columns = Columns(self.kernel.n_features, n_masks=n_masks)
         self._scratch = scratch(
@@ -105,6 +107,23 @@ class FusedCollector(EpisodeCollector):
             if done == len(trials):
                 return Rollout(columns.frames(place), score, length)
             columns.reserve(2 * columns.capacity, keep=place)
+
+    def _play(
+        self, trials: NDArray[np.int64], episodes: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        if self.strategy.per_episode:
+            return super()._play(trials, episodes)
+        if not self._unrecorded:
+            self._unrecorded = scratch(
+                self.kernel, self.network, self.lanes.max_steps, has_mask(self.env), records=False
+            )
+        score, length = np.empty(len(trials)), np.empty(len(trials), dtype=np.int64)
+        self._columns.reserve(1)
+        self._outcomes(
+            self.kernel.parameters, trials, episodes, *self._context(), self._unrecorded,
+            self._columns.arrays, score, length, 0, 0,
+        )  # fmt: skip
+        return score, length
 
     def shutdown(
         self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True

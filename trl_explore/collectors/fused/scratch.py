@@ -18,6 +18,8 @@ from trl_explore.numerics.compiled.cache import kernel_function
 from trl_explore.numerics.compiled.elementary import log32
 
 GROUP = 2 * LANES
+UNRECORDED = 1 << 12
+"""The number of episodes in a group without records, which only needs memory for outcomes."""
 """The number of episodes that run in the SIMD lanes before they are copied to the data."""
 NARROW = 8
 """An observation of at most this many features is kept in the SIMD lanes."""
@@ -47,7 +49,13 @@ class Scratch(NamedTuple):
 
 
 def scratch(
-    kernel: Kernel, network: Network, max_steps: int, masked: bool, episodes: int = GROUP
+    kernel: Kernel,
+    network: Network,
+    max_steps: int,
+    masked: bool,
+    episodes: int = GROUP,
+    *,
+    records: bool = True,
 ) -> tuple[tuple[Any, ...], int, int]:
     """The fields of a ``Scratch`` for at most ``episodes``, the number of lanes and ``max_steps``.
 
@@ -58,10 +66,12 @@ def scratch(
     slots = max(1, min(GROUP, SCRATCH_BYTES // (max_steps * per_frame), episodes))
     lanes = min(LANES, slots, network.group())
     n = slots * max_steps
+    if not records:  # one observation and one mask per lane
+        slots, n = UNRECORDED, lanes
     narrow = is_narrow(network, masked)
     own, hidden = network.memory(lanes)
     memory = Scratch(
-        np.empty(n * (4 + narrow * kernel.n_features), dtype=np.float32),
+        np.empty(records * n * (4 + narrow * kernel.n_features), dtype=np.float32),
         np.empty(n * (not narrow) * kernel.n_features, dtype=np.float32),
         np.empty(n * n_masks, dtype=np.bool_),
         np.empty(slots, dtype=np.int64),
@@ -83,6 +93,12 @@ def row_of(frames, lanes, j, size):
     """The frame of lane j in a column of the scratch that has ``size`` entries per frame."""
     start = lanes.place[FRAME, j] * size
     return borrow(frames)[start : start + size]
+
+
+@kernel_function
+def only_row_of(frames, lanes, j, size):
+    """The only frame of lane j that a loop without records keeps."""
+    return borrow(frames)[j * size : (j + 1) * size]
 
 
 def compile_deliver(record: int, narrow: bool, n_features: int, n_masks: int) -> Any:

@@ -53,7 +53,16 @@ The contract of the functions:
   the stepping collector.
 """
 
-from trl_explore.envs.kernels import acrobot, cartpole, mountain_car, toy_text
+from trl_explore.envs.kernels import (
+    acrobot,
+    cartpole,
+    catch,
+    deep_sea,
+    mountain_car,
+    swing_up,
+    tables,
+    toy_text,
+)
 from trl_explore.envs.kernels.kernel import (
     CompiledEnv,
     Kernel,
@@ -70,12 +79,16 @@ __all__ = [
     "Kernel",
     "acrobot",
     "cartpole",
+    "catch",
     "check_kernel",
+    "deep_sea",
     "kernel_function",
     "kernel_of",
     "mountain_car",
     "random",
     "register_kernel",
+    "swing_up",
+    "tables",
     "tabular",
     "toy_text",
 ]
