@@ -24,6 +24,8 @@ from trl_explore.numerics.streams import Stream
 
 Make = Callable[[], gym.Env]
 
+FLOATS = (np.float64, np.float32)
+"""The usual types of a reward, besides float."""
 MAX_REWARD = 1e30
 """The largest magnitude of a reward, so that sums over an episode are finite as float32."""
 
@@ -161,8 +163,9 @@ class Copies:
                 observation, reward, end, cut, info = answer
             except (TypeError, ValueError):
                 raise self._wrong_step(row, answer) from None
-            if (end is not True and end is not False) or (cut is not True and cut is not False):
-                end, cut = self._flags(row, end, cut)
+            if end is not False or cut is not False:  # both signals are False since the reset
+                terminated[row], truncated[row] = self._flags(row, end, cut)
+            reward = float(reward) if type(reward) in FLOATS else reward
             if type(reward) is not float or not -MAX_REWARD <= reward <= MAX_REWARD:
                 reward = self._reward(row, reward)
             try:
@@ -171,10 +174,8 @@ class Copies:
                 raise self.error(row, f"returned {error}") from None
             ages[row] = age = ages[row] + 1
             if age >= limits[row]:
-                cut = True
+                truncated[row] = True
             rewards[row] = reward
-            terminated[row] = end
-            truncated[row] = cut
             if masked:
                 self._read_mask(row, info)
             elif type(info) is not dict or "action_mask" in info:
@@ -232,7 +233,7 @@ class Copies:
         return number
 
     def _flags(self, row: int, terminated: Any, truncated: Any) -> tuple[bool, bool]:
-        """Flags that are not both Python bools, as such."""
+        """Flags as Python bools."""
         for name, flag in (("terminated", terminated), ("truncated", truncated)):
             if not isinstance(flag, bool | np.bool_):
                 shown = " ".join(repr(flag).split())[:80]
