@@ -185,10 +185,10 @@ class Trainer:
         if self.evaluator is not None:
             learned = self.evaluator.learned
             if self.evaluator.is_due(iteration):
-                sound, frames = active.copy(), self.trials.frames.copy()
+                sound, so_far = active.copy(), self.trials.frames.copy()
                 sound[active] = ~diverged
-                frames[active] += lengths.reshape(len(lengths), -1).sum(1)
-                self._evaluate(iteration, sound, frames)
+                so_far[active] += lengths.reshape(len(lengths), -1).sum(1)
+                self._evaluate(iteration, sound, so_far)
         self.trials.record(scores, lengths, diverged, seconds, learned)
 
     def _evaluate(
