@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
-from torchrl.data import OneHot
 
-from trl_explore.checks import check_integer
-from trl_explore.numerics.layers import lane_linear, plain_lane_linear
-from trl_explore.numerics.streams import Stream, generator
+from trl_explore.strategies.counts import VisitCounts
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
 from trl_explore.strategies.schedules import Schedule
 from trl_explore.strategies.strategy import padding_mask, read, rows
@@ -24,14 +20,12 @@ class CountBonus(MixtureStrategy):
     """Softmax of the logits plus a bonus per action that shrinks with its visit count.
 
     μ(·|s) = softmax((logits + b(s, ·)) / T),   b(s, a) = β / √(N(φ(s), a) + 1)
-    φ(s) = sgn(A s) ∈ {−1, 1}^bits,   A [bits, n_features] of independent N(0, 1)
 
     β / √N(s, a) is the bonus of MBIE-EB (Strehl & Littman 2008, "An analysis of model-based
     interval estimation"), here added to the preferences instead of the reward. Counting the
-    current visit (+ 1) keeps it finite. φ is the static hash of Tang et al. 2017, "#Exploration",
-    §2.2: each discrete (one-hot) state has a cell; a continuous state has the cell of its
-    direction. Each trial has its own A and N. N counts the trial's frames in ``step(data)``, so μ
-    is fixed within an iteration and its probabilities are exact.
+    current visit (+ 1) keeps it finite. N and the cells φ(s) are those of ``VisitCounts``: states
+    under a tabular policy, else the cells of a hash. N counts the trial's frames in
+    ``step(data)``, so μ is fixed within an iteration and its probabilities are exact.
 
     Also reads "observation" [*batch, n_features], from the frames and from the data. Padding of
     TorchRL's ``split_trajs`` is not counted. Where a trainer's counts are sent to workers, give the
@@ -58,8 +52,6 @@ class CountBonus(MixtureStrategy):
         tensor([[2., 1.]])
     """
 
-    _counts: Tensor
-    """N of each trial [trials, cells, n_actions]."""
     beta: Tensor
     temperature: Tensor
 
@@ -74,26 +66,17 @@ class CountBonus(MixtureStrategy):
         super().__init__(**options)
         self.follow("beta", beta, 0, float("inf"))
         self.follow("temperature", temperature, 0, float("inf"))
-        self.bits = check_integer("bits", bits, 1, 20)
         if len(self._heads) > 1:
             raise ValueError("CountBonus counts single actions, but the spec has several heads")
         self.observation_key = observation_key
         read = [self.logits_key, observation_key]
         self.in_keys = read  # pyright: ignore[reportAttributeAccessIssue]
-        self._whom = (1, 0, 0)  # trials, seed, first trial
-        self._hash = torch.zeros(0, 0, 0)
-        self._reset(self._heads[0] if self._heads else 0)
+        self.visits = VisitCounts(1, bits, n_actions=sum(self._heads))
 
-    def _reset(self, n_actions: int) -> None:
-        shape = (self._whom[0], 1 << self.bits, n_actions)
-        counts = torch.zeros(shape, dtype=torch.int32, device=self.iteration.device)
-        self.register_buffer("_counts", counts)
-
-    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *rest: Any) -> None:
-        saved = state_dict.get(f"{prefix}_counts")
-        if saved is not None and saved.shape[:2] == self._counts.shape[:2]:
-            self._reset(saved.shape[-1])
-        super()._load_from_state_dict(state_dict, prefix, *rest)
+    @property
+    def compilable(self) -> bool:
+        """Whether ``behaviour_parameters`` holds the bonus: under a tabular policy."""
+        return self.visits.one_hot
 
     def bind(
         self,
@@ -105,9 +88,11 @@ class CountBonus(MixtureStrategy):
     ) -> None:
         """Reset the counts to 0."""
         super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        self._whom = (trials, seed or 0, first_trial)
-        self._hash = torch.zeros(0, 0, 0)
-        self._reset(self._heads[0] if self._heads else 0)
+        tabular = bool(getattr(policy, "tabular", False))
+        self.visits = VisitCounts(
+            trials, self.visits.bits, n_actions=sum(self._heads), one_hot=tabular,
+            seed=seed or 0, first_trial=first_trial,
+        ).to(self.iteration.device)  # fmt: skip
 
     def mixture(self) -> Mixture:
         """Softmax of ``preferences``."""
@@ -115,13 +100,26 @@ class CountBonus(MixtureStrategy):
 
     def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
         """Logits plus bonus."""
-        if self._counts.shape[-1] != logits.shape[-1]:
-            self._reset(logits.shape[-1])
-        trial = self._trial(tensordict)
-        observation = read(tensordict, self.observation_key)
-        visits = self._counts[self._cells(observation, trial)]
-        beta = rows(self.beta, trial, logits)
-        return logits + beta / (visits.to(logits.dtype) + 1).sqrt()
+        observation, trial = read(tensordict, self.observation_key), self._trial(tensordict)
+        visits = self.visits(observation, _filled(trial, observation), logits.shape[-1])
+        return logits + self._bonus(visits.to(logits.dtype), trial)
+
+    def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
+        """The table of a tabular policy [trials, n_actions, n_states], plus the bonus."""
+        (weight,) = parameters
+        self.visits.reserve(weight.shape[2], weight.shape[1])
+        visits = self._counts.transpose(1, 2).to(weight.dtype)
+        trial = torch.arange(len(weight))
+        return [weight.detach() + self._bonus(visits, trial.unsqueeze(-1))]
+
+    def _bonus(self, visits: Tensor, trial: Tensor | None) -> Tensor:
+        """B in the shape of the counts."""
+        return rows(self.beta, trial, visits) / (visits + 1).sqrt()
+
+    @property
+    def _counts(self) -> Tensor:
+        """N of each trial [trials, cells, n_actions]."""
+        return self.visits.counts
 
     def step(self, frames: TensorDictBase | int | None = None) -> None:
         """Count the frames of the iteration.
@@ -132,41 +130,22 @@ class CountBonus(MixtureStrategy):
         super().step(frames)
         if not isinstance(frames, TensorDictBase):
             return
+        n_actions = self._counts.shape[-1]
+        if not n_actions:
+            raise ValueError("CountBonus does not know the number of actions: give the spec")
         valid = padding_mask(frames)
         action = read(frames, self.action_key)[valid]
-        if isinstance(self.spec, OneHot):
+        observation = read(frames, self.observation_key)[valid]
+        if action.ndim > observation.ndim - 1:
             action = action.int().argmax(-1)
-        if not self._counts.numel():
-            raise ValueError("CountBonus does not know the number of actions: give the spec")
         trial = self._trial(frames)
-        trial, cell = self._cells(
-            read(frames, self.observation_key)[valid], None if trial is None else trial[valid]
-        )
-        ones = torch.ones_like(action, dtype=torch.int32)
-        self._counts.index_put_((trial, cell, action.long()), ones, accumulate=True)
-
-    def _cells(self, observation: Tensor, trial: Tensor | None) -> tuple[Tensor, Tensor]:
-        """The trial and cell of each observation, both [*batch]."""
-        if self._hash.shape[-1] != observation.shape[-1]:
-            self._hash = _projections(*self._whom, self.bits, observation.shape[-1])
-        self._hash = self._hash.to(observation.device)
-        place: Any = {"dtype": torch.int64, "device": observation.device}
-        batch = observation.shape[:-1]
-        if trial is None:
-            trial = torch.zeros((), **place)
-        trial = trial.reshape(trial.shape + (1,) * (len(batch) - trial.ndim)).expand(batch)
-        linear = plain_lane_linear if torch.compiler.is_compiling() else lane_linear
-        positive = linear(observation.to(torch.float32), self._hash, trial) > 0
-        return trial, (positive * (1 << torch.arange(self.bits, **place))).sum(-1)
+        trial = _filled(None if trial is None else trial[valid], observation)
+        self.visits.count(observation, action.long(), trial, n_actions)
 
 
-@torch._dynamo.assume_constant_result
-def _projections(trials: int, seed: int, first_trial: int, bits: int, n_features: int) -> Tensor:
-    """A of every trial [trials, bits, n_features]."""
-    drawn = [
-        generator(seed, Stream.STRATEGY, first_trial + k).standard_normal(
-            (bits, n_features), np.float32
-        )
-        for k in range(trials)
-    ]
-    return torch.from_numpy(np.stack(drawn))
+def _filled(trial: Tensor | None, observation: Tensor) -> Tensor:
+    """The trial of each observation [*batch]; 0 if there is only one."""
+    batch = observation.shape[:-1]
+    if trial is None:
+        return torch.zeros(batch, dtype=torch.int64, device=observation.device)
+    return trial.reshape(trial.shape + (1,) * (len(batch) - trial.ndim)).expand(batch)
