@@ -63,6 +63,8 @@ def check_gaussian(strategy: Any) -> None:
         raise NotCompilableError(f"{name} has hooks")
     if (strategy.loc_key, strategy.scale_key, strategy.action_key) != ("loc", "scale", "action"):
         raise NotCompilableError(f"{name} has renamed entries")
+    if strategy.squashed:
+        raise NotCompilableError(f"{name} squashes its actions")
 
 
 def check_weights(

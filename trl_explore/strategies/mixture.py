@@ -143,8 +143,11 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
     """
     terms: list[Tensor] = []
     limits = torch.finfo(logits.dtype)
-    largest = logits.amax(-1, keepdim=True)
     soft, uniform = present(mixture.softmax), present(mixture.uniform)
+    if not soft and logits.shape[-1] <= 8 and logits.numel() > 1000:
+        # With the actions outermost in memory, torch works on many frames at a time.
+        logits = logits.movedim(-1, 0).contiguous().movedim(0, -1)
+    largest = logits.amax(-1, keepdim=True)
     if present(mixture.greedy):
         # A row of −∞ has no best action; the other parts find that by themselves.
         floor = largest if soft or uniform else largest.clamp(min=limits.min)
