@@ -400,14 +400,14 @@ def test_the_bias_of_a_strategy_whose_parameter_has_a_schedule():
     config, choices = composed(*AS_IF, schedule, "trials=2")
     check_keys(config, choices)
     trainer = build_trainer(config)
-    assert trainer.loss.correction.strategy.temperature(0) == 1.0
-    assert trainer.loss.correction.strategy.temperature(10**6) == 0.1
+    assert trainer.loss.correction.strategy.schedules["temperature"](0) == 1.0
+    assert trainer.loss.correction.strategy.schedules["temperature"](10**6) == 0.1
 
 
 def test_per_trial_values_of_the_assumed_strategy_reach_their_shards():
     job = ["correction=as_if", "correction.strategy.epsilon=[0.1,0.2,0.3]", "trials=3"]
     shards = build_shards(composed(*job)[0], sizes=[2, 1])
-    found = [t.loss.correction.strategy.epsilon(0).tolist() for t in shards.trainers]
+    found = [t.loss.correction.strategy.epsilon.tolist() for t in shards.trainers]
     assert found == [[0.1, 0.2], [0.3]]
     with pytest.raises(ConfigError, match="correction: epsilon has 3 values, but there are 2"):
         build_shards(composed(*job[:2], "trials=2")[0])

@@ -205,7 +205,7 @@ def test_schedules_advance_once_for_each_iteration(build):
     collect = trainer.collector.collect
 
     def watch(active):
-        epsilons.append(strategy.mixture().uniform)
+        epsilons.append(float(strategy.mixture().uniform))
         return collect(active)
 
     trainer.collector.collect = watch

@@ -262,10 +262,24 @@ class BaseStrategy(TensorDictModuleBase):
         number = self._number(frames)
         self.iteration += 1
         self.frames += number
+        self._refresh()
+
+    def keep_pace(self, other: BaseStrategy) -> None:
+        """Go to the iteration and number of frames of another strategy."""
+        self.iteration.copy_(other.iteration)
+        self.frames = other.frames.clone()
+        self._refresh()
+
+    def _refresh(self) -> None:
+        """Give every parameter the present value of its schedule."""
         for name, schedule in self.schedules.items():
             if type(schedule) is not Constant:
                 buffer = getattr(self, name)
-                buffer.copy_(torch.as_tensor(self._value(name), dtype=torch.float64))
+                value = torch.as_tensor(self._value(name), dtype=torch.float64)
+                if value.shape == buffer.shape:
+                    buffer.copy_(value)  # in place: shared memory and compiled code see it
+                else:
+                    self._place(name)
 
     def _number(self, frames: TensorDictBase | int | None) -> int | Tensor:
         """The number of frames; [trials] if trials are counted separately."""

@@ -68,7 +68,7 @@ def test_schedules_follow_the_strategy_that_acts():
     assert weights(correction, acting) == pytest.approx([1.0, 1.0, 1.0])  # ε = 1
     acting.step()
     assert weights(correction, acting) == pytest.approx([0.5, 1.5, 1.0])  # ε = 0.5
-    acting.iteration = 3
+    acting.iteration.fill_(3)
     assert weights(correction, acting) == pytest.approx([0.125, 1.875, 1.0])
 
 

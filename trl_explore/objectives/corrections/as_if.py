@@ -94,5 +94,5 @@ alone; VDBE's do not
     def _present(self) -> Strategy:
         """The strategy of μ', in the iteration of the strategy that collects the data."""
         if self._acting is not None:
-            self.strategy.iteration = self._acting.iteration
+            self.strategy.keep_pace(self._acting)
         return self.strategy
