@@ -40,9 +40,11 @@ lint: $(READY)
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
-# make bench:  measure the speed and write benchmarks/results.md
+# make bench:  measure the speed and write results.md, stepping.md and networks.md in benchmarks/
 bench: $(READY)
 	$(BIN)/python benchmarks/speed.py
+	$(BIN)/python benchmarks/stepping.py
+	$(BIN)/python benchmarks/networks.py
 
 # make soak:   kill a sweep at random times, KILLS times, and compare every file
 soak: $(READY)
