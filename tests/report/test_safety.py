@@ -84,7 +84,7 @@ def test_the_only_resolvers_are_two_names():
     """``${...}`` in a configuration computes nothing but the name of a sweep and of a job."""
     before = set(dir(OmegaConf))
     register_resolvers()
-    assert OmegaConf.has_resolver("sweep_name")
+    assert OmegaConf.has_resolver("sweep_folder")
     assert OmegaConf.has_resolver("job_name")
     assert set(dir(OmegaConf)) == before
     for path in (ROOT / "trl_explore").rglob("*.py"):

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from trl_explore.objectives.baselines import Baseline
     from trl_explore.training.evaluation import Evaluator
+    from trl_explore.training.intrinsic import CountReward
     from trl_explore.training.shards import Shards
     from trl_explore.training.trainer import Trainer
 
@@ -99,14 +100,14 @@ def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shar
     return Shards(trainers)
 
 
-def build_trainer(config: DictConfig) -> Trainer:
-    """Build one trainer for all trials of a job.
+def build_trainer(config: DictConfig, rows: slice | None = None) -> Trainer:
+    """Build one trainer for some of a job's trials; None: for all.
 
     Raises:
         ConfigError: if a value is not allowed.
     """
     _check(config)
-    return _build_trainer(config, slice(0, config.trials))
+    return _build_trainer(config, rows or slice(0, config.trials), announce=rows is None)
 
 
 def _check(config: DictConfig) -> None:
@@ -123,13 +124,11 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
 
     from trl_explore.collectors import FusedCollector, auto_collector
     from trl_explore.envs.probing import remarks
-    from trl_explore.numerics.compiled.cache import lock_cache
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.record import Trials
     from trl_explore.training.trainer import Trainer
 
-    lock_cache()
     size = rows.stop - rows.start
     trials = _build(
         None,
@@ -154,9 +153,11 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     baseline.bind(env)
     optimizer = _instantiate(config, "optimizer")(_parameters(policy, baseline))
     actor = actor_of(policy)
+    correction = _instantiate(config, "correction")()
+    _build("correction", lambda: correction.take(rows, config.trials))
     loss = _instantiate(config, "loss")(
         actor,
-        correction=_instantiate(config, "correction")(),
+        correction=correction,
         baseline=baseline,
         strategy=strategy,
         trials=size,
@@ -172,6 +173,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     if config.diagnostics:
         diagnostics = Diagnostics(actor, strategy, size, policy.parameters())
     evaluator = _evaluator(config, policy, strategy, size, streams)
+    intrinsic = _build(None, lambda: _intrinsic(config, env, policy, size, streams))
     return _build(
         None,
         lambda: Trainer(
@@ -182,6 +184,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
             evaluator=evaluator,
             stop_on_evaluation=config.stop_on == "evaluation",
             diagnostics=diagnostics,
+            intrinsic=intrinsic,
         ),
     )
 
@@ -227,6 +230,21 @@ def _check_parts(key: str, nodes: Any) -> None:
     for k, node in enumerate(nodes):
         if not isinstance(node, DictConfig) or not isinstance(node.get("_target_"), str):
             raise ConfigError(f"env.{key}[{k}] must name a class, {form}, got {node!r}")
+
+
+def _intrinsic(
+    config: DictConfig, env: Any, policy: Any, trials: int, streams: Mapping[str, int]
+) -> CountReward | None:
+    """Build the intrinsic reward; None if it is off."""
+    from trl_explore.training.intrinsic import CountReward
+
+    beta = check_number("intrinsic_reward", config.intrinsic_reward, 0)
+    if not beta:
+        return None
+    if env.action_spec.domain != "discrete":
+        raise ValueError(f"intrinsic_reward counts discrete actions, got {env.action_spec.domain}")
+    tabular = bool(getattr(policy, "tabular", False))
+    return CountReward(beta, trials, env.action_spec.space.n, one_hot=tabular, **streams)
 
 
 def _evaluator(

@@ -8,11 +8,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from trl_explore.envs import tasks
+
 if TYPE_CHECKING:
     from trl_explore.envs.make import lane_env, make_env
     from trl_explore.envs.vector import LaneVectorEnv
 
 __all__ = ["LaneVectorEnv", "lane_env", "make_env"]
+
+tasks.register()
 
 
 def __getattr__(name: str) -> Any:

@@ -16,17 +16,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.outcomes import PER_TRIAL, Outcomes
 
 # The groups of a configuration that define an agent. The machine, the collector, the number of
 # trials and the stopping rule do not.
 AGENT_GROUPS = (
     "env", "policy", "loss", "correction", "baseline", "optimizer", "episodes_per_update",
+    "intrinsic_reward",
 )  # fmt: skip
 # Keys of an environment that do not define the agent: its default stopping rule, and the number
 # of processes.
 NO_AGENT = ("score_threshold", "score_window", "max_iterations", "workers")
-PER_TRIAL = ("trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status")
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def configuration_key(outcomes: Outcomes) -> str:
     Equal for jobs with the same agents; 1 and 1.0 are equal. Caps and thresholds are not part of
     it: a trial that is stopped later is still the same trial.
     """
-    groups = {key: outcomes.config[key] for key in AGENT_GROUPS if key in outcomes.config}
+    groups = {key: outcomes.config[key] for key in AGENT_GROUPS if outcomes.config.get(key)}
     if isinstance(env := groups.get("env"), Mapping):
         groups["env"] = {key: value for key, value in env.items() if key not in NO_AGENT}
     content = [outcomes.strategy, _canonical(outcomes.parameters), _canonical(groups)]
@@ -122,7 +122,8 @@ def deduplicate(jobs: Sequence[Outcomes]) -> list[Outcomes]:
 
 def select(outcomes: Outcomes, index: NDArray[Any]) -> Outcomes:
     """Keep the trials at ``index``, a boolean mask [n_trials] or positions."""
-    return replace(outcomes, **{name: getattr(outcomes, name)[index] for name in PER_TRIAL})
+    columns = {name: getattr(outcomes, name) for name in PER_TRIAL}
+    return replace(outcomes, **{name: x if x is None else x[index] for name, x in columns.items()})
 
 
 def pool(jobs: Sequence[Outcomes]) -> Outcomes:
@@ -144,8 +145,14 @@ def pool(jobs: Sequence[Outcomes]) -> Outcomes:
     refuse_shared(jobs)
     if len(jobs) == 1:
         return first
-    columns = {c: np.concatenate([getattr(job, c) for job in jobs]) for c in PER_TRIAL}
-    return replace(first, **columns)
+    columns = {name: [getattr(job, name) for job in jobs] for name in PER_TRIAL}
+    return replace(
+        first,
+        **{
+            name: None if any(x is None for x in parts) else np.concatenate(parts)
+            for name, parts in columns.items()
+        },
+    )
 
 
 def check_comparable(a: Outcomes, b: Outcomes) -> None:

@@ -14,6 +14,7 @@ from trl_explore.collectors import EpisodeCollector
 from trl_explore.numerics.compiled.cache import clock
 from trl_explore.training.diagnostics import Diagnostics
 from trl_explore.training.evaluation import Evaluator
+from trl_explore.training.intrinsic import CountReward
 from trl_explore.training.optimizers import TrialOptimizer, Views, all_finite
 from trl_explore.training.record import Trials
 
@@ -45,6 +46,7 @@ class Trainer:
         evaluator: plays the greedy policy at regular intervals.
         stop_on_evaluation: whether evaluation scores decide convergence, not training scores.
         diagnostics: records quantities that explain how a trial learns.
+        intrinsic: adds an intrinsic reward to the frames that the loss sees; None: none.
         on_iteration: called after each iteration with the record.
 
     Raises:
@@ -62,6 +64,7 @@ class Trainer:
         evaluator: Evaluator | None = None,
         stop_on_evaluation: bool = False,
         diagnostics: Diagnostics | None = None,
+        intrinsic: CountReward | None = None,
         on_iteration: Callable[[Trials], None] | None = None,
     ) -> None:
         if loss.reduction == "mean":
@@ -77,6 +80,7 @@ class Trainer:
         self.evaluator = evaluator
         self.stop_on_evaluation = stop_on_evaluation
         self.diagnostics = diagnostics
+        self.intrinsic = intrinsic
         self.on_iteration = on_iteration
         self._weights = Views(optimizer.parameters)
         self.seconds = 0.0
@@ -89,6 +93,7 @@ class Trainer:
             "trials": trials,
             "evaluator": evaluator,
             "diagnostics": diagnostics,
+            "intrinsic": intrinsic,
         }
         self.parts: dict[str, Any] = {k: part for k, part in parts.items() if part is not None}
         """All parts with a state, by name; a new part of the loop must be added here."""
@@ -149,6 +154,8 @@ class Trainer:
         active = self.trials.active
         self.optimizer.zero_grad()
         frames, scores, lengths = self.collector.collect(active)
+        if self.intrinsic is not None:
+            self.intrinsic(frames)
         trial_loss = self.loss.backward(frames)
         if self.diagnostics is not None:
             self.diagnostics.record(frames, active)
