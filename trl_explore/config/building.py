@@ -201,21 +201,6 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     )
 
 
-def _intrinsic(
-    config: DictConfig, env: Any, policy: Any, trials: int, streams: Mapping[str, int]
-) -> CountReward | None:
-    """Build the intrinsic reward; None if it is off."""
-    from trl_explore.training.intrinsic import CountReward
-
-    beta = check_number("intrinsic_reward", config.intrinsic_reward, 0)
-    if not beta:
-        return None
-    if env.action_spec.domain != "discrete":
-        raise ValueError(f"intrinsic_reward counts discrete actions, got {env.action_spec.domain}")
-    tabular = bool(getattr(policy, "tabular", False))
-    return CountReward(beta, trials, env.action_spec.space.n, one_hot=tabular, **streams)
-
-
 def _environment(config: DictConfig) -> Callable[..., Any]:
     """The constructor of the environment, with its wrappers and transforms."""
     env = config.env
@@ -257,6 +242,21 @@ def _check_parts(key: str, nodes: Any) -> None:
     for k, node in enumerate(nodes):
         if not isinstance(node, DictConfig) or not isinstance(node.get("_target_"), str):
             raise ConfigError(f"env.{key}[{k}] must name a class, {form}, got {node!r}")
+
+
+def _intrinsic(
+    config: DictConfig, env: Any, policy: Any, trials: int, streams: Mapping[str, int]
+) -> CountReward | None:
+    """Build the intrinsic reward; None if it is off."""
+    from trl_explore.training.intrinsic import CountReward
+
+    beta = check_number("intrinsic_reward", config.intrinsic_reward, 0)
+    if not beta:
+        return None
+    if env.action_spec.domain != "discrete":
+        raise ValueError(f"intrinsic_reward counts discrete actions, got {env.action_spec.domain}")
+    tabular = bool(getattr(policy, "tabular", False))
+    return CountReward(beta, trials, env.action_spec.space.n, one_hot=tabular, **streams)
 
 
 def _evaluator(
