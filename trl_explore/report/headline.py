@@ -58,7 +58,7 @@ def _acting(found: Sequence[Decomposition]) -> str:
 
 
 def _bias(found: Sequence[Decomposition]) -> str:
-    quantity, parts = _quantity(found, list(WORDS))
+    quantity, parts = chosen_quantity(found)
     if not parts:
         return ""
     words, said = WORDS[quantity], []
@@ -86,7 +86,7 @@ def _bias(found: Sequence[Decomposition]) -> str:
 
 
 def _data(found: Sequence[Decomposition]) -> str:
-    quantity, parts = _quantity(found, ["learning", "height"])
+    quantity, parts = chosen_quantity(found, ["learning", "height"])
     words, said = WORDS[quantity], []
     for strategy, p in parts:
         if p.data is None:
@@ -108,8 +108,8 @@ def _data(found: Sequence[Decomposition]) -> str:
     )
 
 
-def _quantity(
-    found: Sequence[Decomposition], names: Sequence[str]
+def chosen_quantity(
+    found: Sequence[Decomposition], names: Sequence[str] = tuple(WORDS)
 ) -> tuple[str, list[tuple[str, Parts]]]:
     """The quantity to speak of, and the parts of every strategy in it.
 
