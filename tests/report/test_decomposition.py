@@ -69,6 +69,26 @@ def test_other_agents_and_other_rules_are_no_cells(runs, make):
     assert crossings(runs[1:]) == []  # without softmax
 
 
+def test_two_maps_of_one_environment_are_two_environments(make):
+    def cells(**kwargs):
+        made = [
+            run(make, [40, 50], groups={"correction": "NoCorrection"}),
+            run(make, [90, 95], "argmax", None, groups={"correction": "NoCorrection"}),
+            run(make, [90, 95], "argmax", None, groups={"correction": "PerStep"}),
+        ]
+        env = {"id": "FrozenLake-v1", "kwargs": kwargs}
+        return [replace(r, passed=replace(r.passed, config={**r.passed.config, "env": env}))
+                for r in made]  # fmt: skip
+
+    small, large = cells(), cells(map_name="8x8")
+    other = [replace(r, passed=replace(r.passed, cap=2000)) for r in small]
+    found = crossings([*small, *large, *other])
+    assert [c.environment for c in found] == [
+        "CartPole-v1", "CartPole-v1 (8x8)", "CartPole-v1, 2"
+    ]  # fmt: skip
+    assert [c.label for c in found] == 3 * ["argmax"]
+
+
 def test_one_and_1_0_are_the_same_strategy(make):
     plain, ratio = {"correction": "NoCorrection"}, {"correction": "PerStep"}
     cells = [
