@@ -69,6 +69,26 @@ def test_other_agents_and_other_rules_are_no_cells(runs, make):
     assert crossings(runs[1:]) == []  # without softmax
 
 
+def test_two_maps_of_one_environment_are_two_environments(make):
+    def cells(**kwargs):
+        made = [
+            run(make, [40, 50], groups={"correction": "NoCorrection"}),
+            run(make, [90, 95], "argmax", None, groups={"correction": "NoCorrection"}),
+            run(make, [90, 95], "argmax", None, groups={"correction": "PerStep"}),
+        ]
+        env = {"id": "FrozenLake-v1", "kwargs": kwargs}
+        return [replace(r, passed=replace(r.passed, config={**r.passed.config, "env": env}))
+                for r in made]  # fmt: skip
+
+    small, large = cells(), cells(map_name="8x8")
+    other = [replace(r, passed=replace(r.passed, cap=2000)) for r in small]
+    found = crossings([*small, *large, *other])
+    assert [c.environment for c in found] == [
+        "CartPole-v1", "CartPole-v1 (8x8)", "CartPole-v1, 2"
+    ]  # fmt: skip
+    assert [c.label for c in found] == 3 * ["argmax"]
+
+
 def test_one_and_1_0_are_the_same_strategy(make):
     plain, ratio = {"correction": "NoCorrection"}, {"correction": "PerStep"}
     cells = [
@@ -112,7 +132,7 @@ def test_what_is_not_measured_is_left_out(runs):
     assert greedy.acting_share is None
     acting, *rest = headline(decompose(bare))
     assert acting.startswith("Bias:")
-    assert "of the time to pass" in acting
+    assert "of the time to passing" in acting
     assert rest == []
     assert list(draw_why(decompose(bare))) == []
 
@@ -137,6 +157,27 @@ def test_the_headline_says_what_comes_out(runs):
     assert re.search(r"ε-greedy does not differ significantly \(30\.0 \[", data)
     assert re.search(r"argmax needs 401 \[\d.*\] iterations more than softmax", data)
     assert headline([]) == ()
+
+
+def test_where_nobody_learns_the_score_is_spoken_of(make):
+    """All at the cap: iterations tell nothing, learned scores do."""
+
+    def job(level, correction, **more):
+        o = make(20 * [1000], learned=20 * [None], groups={"correction": correction}, **more)
+        height = level + np.tile([0.0, 0.01], 10)
+        of = Heights([(0, k) for k in range(20)], height, height, height)
+        return Run("FrozenLake-v1", judged(o, "passed"), judged(o, "learned"), of)
+
+    greedy = {"strategy": "epsilon_greedy", "parameters": EPSILON}
+    cells = [
+        job(0.6, "NoCorrection", parameters=T),
+        job(0.1, "NoCorrection", **greedy),
+        job(0.5, "PerStep", **greedy),
+    ]
+    _, bias, data = headline(decompose(cells))
+    assert "of the mean learned score, this explains 80 % [80, 80] of the 0.5 points that" in bias
+    assert "ε-greedy has less than softmax (0.105 against 0.605)" in bias
+    assert "ε-greedy has 0.1 [0.1, 0.1] points less than softmax" in data
 
 
 def test_shares_of_nothing_are_not_estimable(runs):

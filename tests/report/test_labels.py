@@ -33,3 +33,16 @@ def test_schedules_are_named_with_their_parameter(make):
     jobs = [job(kind="Linear", initial=2.0), job(kind="Cosine", initial=2.0, final=1.0)]
     labels = list(configuration_labels(jobs).values())
     assert [label.split(",")[0] for label in labels] == ["T = Linear", "T = Cosine"]
+
+
+def test_the_bias_of_another_strategy_is_named_with_its_parameter(make):
+    def job(target, **parameters):
+        strategy = {"_target_": f"trl_explore.strategies.{target}", **parameters}
+        return make([200], name=target + str(parameters), assumes=strategy)
+
+    plain = make([200], groups={"correction": "NoCorrection"})
+    jobs = [plain, job("Argmax"), job("EpsilonGreedy", epsilon=0.3),
+            job("DecayingEpsilonGreedy", decay=0.99)]  # fmt: skip
+    assert list(configuration_labels(jobs).values()) == [
+        "uncorrected", "bias of argmax", "bias of ε-greedy 0.3", "bias of decaying ε-greedy 0.99"
+    ]  # fmt: skip

@@ -82,6 +82,7 @@ class Crossing:
     missing.
     """
 
+    environment: str
     label: str
     reference: Run
     plain: Run
@@ -111,6 +112,7 @@ def crossings(runs: Sequence[Run]) -> list[Crossing]:
     loss, optimiser and stopping rule.
     """
     found = []
+    places = _places(runs)
     for plain in runs:
         mates = [run for run in runs if _world(run) == _world(plain)]
         if plain.option != PLAIN or plain.is_reference or _first(mates, PLAIN, plain) is not plain:
@@ -121,7 +123,9 @@ def crossings(runs: Sequence[Run]) -> list[Crossing]:
         corrected = _first(mates, RATIO, plain)
         if right and (biased or corrected is not None):
             assumed = biased[0] if biased else None
-            found.append(Crossing(_label(plain, runs), right[0], plain, assumed, corrected))
+            place = places[_world(plain)]
+            label = _label(plain, mates)
+            found.append(Crossing(place, label, right[0], plain, assumed, corrected))
     return found
 
 
@@ -137,6 +141,20 @@ def _label(run: Run, runs: Sequence[Run]) -> str:
         return strategy_label(name)
     shown = (f"{symbol(k)} = {v:g}" for k, v in own.items() if isinstance(v, int | float))
     return ", ".join([strategy_label(name), *shown])
+
+
+def _places(runs: Sequence[Run]) -> dict[str, str]:
+    """The name of every environment, unique: "FrozenLake-v1 (8x8)", "CartPole-v1, 2"."""
+    found: dict[str, str] = {}
+    for run in runs:
+        env = run.passed.config.get("env")
+        options = env.get("kwargs") if isinstance(env, Mapping) else None
+        shown = ", ".join(str(v) for v in (options or {}).values() if isinstance(v, str))
+        name = f"{run.environment} ({shown})" if shown else run.environment
+        if _world(run) not in found:
+            count = sum(o == name or o.startswith(f"{name}, ") for o in found.values())
+            found[_world(run)] = f"{name}, {count + 1}" if count else name
+    return found
 
 
 def _world(run: Run) -> str:

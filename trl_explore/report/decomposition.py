@@ -105,7 +105,7 @@ class Decomposition:
     """The answers for one strategy in one environment.
 
     Attributes:
-        environment: id of the environment.
+        environment: its name; unique if other settings differ.
         strategy: label of the strategy.
         name: its name in files.
         acting: cell -> the same weights with and without exploration; empty without evaluations.
@@ -131,7 +131,7 @@ def decompose(runs: Sequence[Run]) -> list[Decomposition]:
         if parts:
             found.append(
                 Decomposition(
-                    environment=c.plain.environment,
+                    environment=c.environment,
                     strategy=c.label,
                     name=c.plain.passed.strategy,
                     acting={k: a for k, run in c.cells.items() if (a := _acting(run))},

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from trl_explore.report.decomposition import QUANTITIES, Decomposition, Parts
+from trl_explore.report.headline import chosen_quantity
 from trl_explore.report.numbers import figure, interval, p_value, percent
 from trl_explore.report.tables import Column, Record, Table
 from trl_explore.statistics.estimates import flat
@@ -20,20 +21,26 @@ def decomposition_tables(found: Sequence[Decomposition]) -> list[Table]:
 
 def _main(found: Sequence[Decomposition]) -> Table:
     by = {(d.environment, d.strategy): d for d in found}
+    quantity = {
+        environment: chosen_quantity([d for d in found if d.environment == environment])[0]
+        for environment in dict.fromkeys(d.environment for d in found)
+    }
 
     def of(text: Callable[[Decomposition], str]) -> Callable[[Record], str]:
         return lambda r: text(by[r["environment"], r["strategy"]])
+
+    def part(text: Callable[[Parts | None], str]) -> Callable[[Record], str]:
+        return of(lambda d: text(d.parts.get(quantity[d.environment])))
+
+    times = {QUANTITIES[q] for q in quantity.values()}
 
     columns = [
         Column("strategy", "strategy", lambda r: r["strategy"]),
         Column("handicap", "acting: score in training, and without exploration",
                of(_acting), True),
-        Column("learning_gap", "iterations to learning beyond softmax",
-               of(lambda d: _gap(d.parts.get("learning"))), True),
-        Column("learning_bias", "bias: its share",
-               of(lambda d: _bias(d.parts.get("learning"))), True),
-        Column("learning_data", "data: the same, corrected",
-               of(lambda d: _data(d.parts.get("learning"))), True),
+        Column("gap", f"{' or '.join(sorted(times))}: difference to softmax", part(_gap), True),
+        Column("bias", "bias: its share", part(_bias), True),
+        Column("data", "data: the same, corrected", part(_data), True),
         Column("passing_bias", "bias: its share by passing",
                of(lambda d: _bias(d.parts.get("passing"))), True),
         Column("passes", "trials that pass", of(_passes), True),
@@ -41,11 +48,16 @@ def _main(found: Sequence[Decomposition]) -> Table:
     if len({d.environment for d in found}) > 1:
         columns.insert(0, Column("environment", "environment", lambda r: r["environment"]))
     title = "Acting, bias and data: every strategy against softmax"
-    return Table("why-parts", title, columns, [_record(d) for d in found], main=True)
+    records = [_record(d, quantity[d.environment]) for d in found]
+    return Table("why-parts", title, columns, records, main=True)
 
 
-def _record(d: Decomposition) -> dict[str, Any]:
-    record: dict[str, Any] = {"environment": d.environment, "strategy": d.strategy}
+def _record(d: Decomposition, quantity: str) -> dict[str, Any]:
+    record: dict[str, Any] = {
+        "environment": d.environment, "strategy": d.strategy, "quantity": quantity
+    }  # fmt: skip
+    if (shown := d.parts.get(quantity)) is not None:
+        record |= {"gap": shown.gap, "bias": shown.bias, "data": shown.data}
     if (a := d.acting.get("plain")) is not None:
         record |= {"behaved": a.behaved, "learned": a.learned, "handicap": a.handicap}
     if d.acting_share is not None:

@@ -130,9 +130,10 @@ def _group_evidence(group: Group, gaps: list[Gap]) -> GroupEvidence:
         return found
     learned = replace(group, configurations=list(group.learned), learned=())
     by_learning = _measured(learned, traces)
-    said = tuple(
-        f"Judged by what was learned, {s[:1].lower()}{s[1:]}" for s in by_learning.sentences
-    )
+    said = [
+        s if s.startswith("The learned") else f"Judged by what was learned, {s[:1].lower()}{s[1:]}"
+        for s in by_learning.sentences
+    ]
     return replace(found, learned=by_learning, sentences=(*found.sentences, *said))
 
 

@@ -3,12 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from trl_explore.report.decomposition import Decomposition, Parts
 from trl_explore.report.numbers import figure, interval, percent
 from trl_explore.statistics.estimates import Estimate
+
+
+class Words(NamedTuple):
+    """How a quantity is spoken of: "ε-greedy *needs* 30 *iterations* *fewer* than softmax"."""
+
+    name: str
+    verb: str
+    unit: str
+    fewer: str
+
+
+WORDS = {
+    "learning": Words("time to learning", "needs", "iterations", "fewer"),
+    "height": Words("mean learned score", "has", "points", "less"),
+    "passing": Words("time to passing", "needs", "iterations", "fewer"),
+}
+"""Quantities of the headline: the first of which a share can be estimated, or that is known."""
 
 
 def headline(found: Sequence[Decomposition]) -> tuple[str, ...]:
@@ -40,61 +58,68 @@ def _acting(found: Sequence[Decomposition]) -> str:
 
 
 def _bias(found: Sequence[Decomposition]) -> str:
-    said = []
-    for d in found:
-        p = _time(d)
-        if p is None:
-            continue
-        more = "more" if p.gap.value > 0 else "less"
-        needs = (
-            f"the {figure(abs(p.gap.value))} iterations that {d.strategy} needs {more} than softmax"
-            f" ({figure(p.plain)} against {figure(p.reference)})"
+    quantity, parts = chosen_quantity(found)
+    if not parts:
+        return ""
+    words, said = WORDS[quantity], []
+    for strategy, p in parts:
+        more = "more" if p.gap.value > 0 else words.fewer
+        whole = (
+            f"the {figure(abs(p.gap.value))} {words.unit} that {strategy} {words.verb} {more} than"
+            f" softmax ({figure(p.plain)} against {figure(p.reference)})"
         )
         if np.isnan(p.bias.value):
             said.append(
-                f"nothing clear of {d.strategy}, which hardly differs from softmax"
-                f" ({interval(p.gap)} iterations)"
+                f"nothing clear of {strategy}, which hardly differs from softmax"
+                f" ({interval(p.gap)} {words.unit})"
             )
         elif p.separable:
-            said.append(f"{percent(p.bias)} of {needs}")
+            said.append(f"{percent(p.bias)} of {whole}")
         else:
-            ways = [(p.corrected, f"removed from {d.strategy}"), (p.assumed, "added to softmax")]
+            ways = [(p.corrected, f"removed from {strategy}"), (p.assumed, "added to softmax")]
             low, high = (f"{percent(share)}, {how}," for share, how in sorted(ways, key=_value))
-            said.append(f"{low} to {high} of {needs}")
-    if not said:
-        return ""
-    what = "learn" if any("learning" in d.parts for d in found) else "pass"
+            said.append(f"{low} to {high} of {whole}")
     return (
         "Bias: a gradient that treats the actions as if they came from the policy is biased; of the"
-        f" time to {what}, this explains {'; '.join(said)}."
+        f" {words.name}, this explains {'; '.join(said)}."
     )
 
 
 def _data(found: Sequence[Decomposition]) -> str:
-    said = []
-    for d in found:
-        p = d.parts.get("learning")
-        if p is None or p.data is None:
+    quantity, parts = chosen_quantity(found, ["learning", "height"])
+    words, said = WORDS[quantity], []
+    for strategy, p in parts:
+        if p.data is None:
             continue
         if p.told_apart:
-            more = "more" if p.data.value > 0 else "fewer"
+            more = "more" if p.data.value > 0 else words.fewer
             low, high = sorted((abs(p.data.low), abs(p.data.high)))
             size = interval(Estimate(abs(p.data.value), low, high))
-            said.append(f"{d.strategy} needs {size} iterations {more} than softmax")
+            said.append(f"{strategy} {words.verb} {size} {words.unit} {more} than softmax")
         else:
             said.append(
-                f"{d.strategy} does not differ significantly ({interval(p.data)} iterations)"
+                f"{strategy} does not differ significantly ({interval(p.data)} {words.unit})"
             )
     if not said:
         return ""
     return (
-        "Data: what is left with corrected gradients is the effect of exploration proper."
-        f" To learn, {'; '.join(said)}."
+        "Data: what is left with corrected gradients is the effect of exploration proper. By the"
+        f" {words.name}, {'; '.join(said)}."
     )
 
 
-def _time(d: Decomposition) -> Parts | None:
-    return d.parts.get("learning") or d.parts.get("passing")
+def chosen_quantity(
+    found: Sequence[Decomposition], names: Sequence[str] = tuple(WORDS)
+) -> tuple[str, list[tuple[str, Parts]]]:
+    """The quantity to speak of, and the parts of every strategy in it.
+
+    Where hardly any trial learns within the cap, times tell nothing, and the score is taken.
+    """
+    known = {q: [(d.strategy, d.parts[q]) for d in found if q in d.parts] for q in names}
+    told = [q for q in names if any(not np.isnan(p.bias.value) for _, p in known[q])]
+    there = [q for q in names if known[q]]
+    best = next(iter([*told, *there]), names[0])
+    return best, known[best]
 
 
 def _value(way: tuple[Estimate | None, str]) -> float:
