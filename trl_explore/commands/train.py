@@ -175,6 +175,7 @@ def train_from(
                     episodes=config.episodes,
                     evaluations=shards.evaluations(),
                     diagnostics=shards.diagnostics(),
+                    visits=shards.visits(),
                 )
     except BaseException:
         if interrupts.pending is not None:

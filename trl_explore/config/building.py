@@ -117,6 +117,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.record import Trials
     from trl_explore.training.trainer import Trainer
+    from trl_explore.training.visits import Visits
 
     lock_cache()
     size = rows.stop - rows.start
@@ -153,7 +154,8 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     collector = _instantiate(config, "collector")(env, both, **quiet)
     diagnostics = None
     if config.diagnostics:
-        diagnostics = Diagnostics(actor, strategy, size, policy.parameters())
+        visits = Visits(env, size)
+        diagnostics = Diagnostics(actor, strategy, size, policy.parameters(), visits)
     evaluator = _evaluator(config, policy, strategy, size, streams)
     intrinsic = _build(None, lambda: _intrinsic(config, env, policy, size, streams))
     return _build(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from trl_explore.jobs.columns import EPISODES, ResultsError
 from trl_explore.jobs.reading import read_curves, read_episodes
-from trl_explore.jobs.records import read_diagnostics, read_evaluations
+from trl_explore.jobs.records import read_diagnostics, read_evaluations, read_visits
 from trl_explore.report.groups import Group
 from trl_explore.report.loading import Gap, Job, gap
 from trl_explore.training.columns import DIAGNOSTICS
@@ -48,6 +48,7 @@ class Traces:
         diagnostics: quantity -> its curves, median over trials with the middle half; only
             quantities that were recorded.
         evaluations: score in training and score of the greedy policy, means over trials.
+        visits: where the trials of the first job have been, see ``read_visits``.
         gaps: what could not be read.
 
     """
@@ -55,6 +56,7 @@ class Traces:
     learning: dict[str, Curve] = field(default_factory=dict)
     diagnostics: dict[str, dict[str, Curve]] = field(default_factory=dict)
     evaluations: dict[str, tuple[Curve, Curve]] = field(default_factory=dict)
+    visits: dict[str, dict[str, NDArray[np.int64]]] = field(default_factory=dict)
     gaps: list[Gap] = field(default_factory=list)
 
 
@@ -109,6 +111,13 @@ def read_traces(group: Group) -> Traces:
         parts = _Parts(end, group.window)
         for job in group.jobs[c.name]:
             parts.read(job)
+        try:
+            visits = read_visits(group.jobs[c.name][0].folder)
+        except ResultsError as error:
+            parts.gaps.append(gap(group.jobs[c.name][0].folder, error))
+        else:
+            if visits is not None:
+                traces.visits[c.name] = visits
         traces.gaps.extend(parts.gaps)
         if (curve := parts.learning()) is not None:
             traces.learning[c.name] = curve

@@ -1,8 +1,7 @@
 """Compiled dynamics of standard environments, each tested against gymnasium.
 
 To add an environment, write three functions and a builder, in any module that is imported before
-the collector is built. docs/own_kernel.md shows it on an example; deep_sea.py and catch.py are short
-ones of the package.
+the collector is built. docs/own_kernel.md shows it on an example; catch.py is a short one here.
 
 The contract of the functions:
 
