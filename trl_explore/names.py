@@ -75,6 +75,7 @@ OPTIONS: Mapping[str, Mapping[str, str]] = {
         "PerDecision": "per-decision weights",
         "Trajectory": "trajectory weights",
         "Behaviour": "gradient of μ",
+        "AsIf": "bias of",
     },
     "baseline": {
         "Constant": "no baseline",

@@ -171,3 +171,21 @@ def test_the_same_without_exploration(env, zero):
     data = pairs[0][0].collect().frames
     assert_same(data, pairs[1][0].collect().frames)
     assert not data["action_log_prob"].any()
+
+
+@pytest.mark.parametrize("env", ENVS)
+@pytest.mark.parametrize("explores", [False, True])
+def test_the_same_outcomes_without_frames(env, explores):
+    """As evaluations play them: far episode numbers, greedy or sampled from π."""
+    trials = np.array([0, 0, 1, 2, 2, 2])
+    episodes = (1 << 52) + np.array([0, 7, 0, 3, 1, 2])
+    played = []
+    for collector in (FusedCollector, TorchRLCollector):
+        made, policy = build(collector, ENVS[env], Softmax(), 3)
+        generator = torch.Generator().manual_seed(7)
+        with torch.no_grad():
+            policy.weight.copy_(torch.randn(policy.weight.shape, generator=generator))
+        made.exploration_type = ExplorationType.RANDOM if explores else ExplorationType.MODE
+        played.append(made.play(trials, episodes))
+    for fused, reference in zip(*played, strict=True):
+        np.testing.assert_array_equal(fused, reference)

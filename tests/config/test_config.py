@@ -368,6 +368,47 @@ def test_a_parameter_that_takes_no_schedule():
         build_trainer(config)
 
 
+AS_IF = ("correction=as_if", "strategy@correction.strategy=softmax")
+
+
+def test_the_bias_of_any_discrete_strategy():
+    assert name("correction=as_if") == (
+        "softmax,correction=as_if,correction.strategy=epsilon_greedy,temperature=1.0,"
+        "correction.strategy.epsilon=0.3"
+    )
+    assert name(*AS_IF, "correction.strategy.temperature=2").endswith(".temperature=2.0")
+    accepted = []
+    for option in options("strategy", "discrete"):
+        job = ["correction=as_if", f"strategy@correction.strategy={option}", "trials=2"]
+        config, choices = composed(*job)
+        check_keys(config, choices)
+        try:
+            build_trainer(config).close()
+            accepted.append(option)
+        except ConfigError as error:
+            assert "follow from logits and iteration alone" in str(error)  # noqa: PT017
+    refused = {"count_bonus", "epsilon_z_greedy", "parameter_noise", "vdbe"}
+    assert set(accepted) == {*options("strategy", "discrete")} - refused
+
+
+def test_the_bias_of_a_strategy_whose_parameter_has_a_schedule():
+    schedule = "+schedule@correction.strategy.temperature=linear"
+    config, choices = composed(*AS_IF, schedule, "trials=2")
+    check_keys(config, choices)
+    trainer = build_trainer(config)
+    assert trainer.loss.correction.strategy.temperature(0) == 1.0
+    assert trainer.loss.correction.strategy.temperature(10**6) == 0.1
+
+
+def test_per_trial_values_of_the_assumed_strategy_reach_their_shards():
+    job = ["correction=as_if", "correction.strategy.epsilon=[0.1,0.2,0.3]", "trials=3"]
+    shards = build_shards(composed(*job)[0], sizes=[2, 1])
+    found = [t.loss.correction.strategy.epsilon(0).tolist() for t in shards.trainers]
+    assert found == [[0.1, 0.2], [0.3]]
+    with pytest.raises(ConfigError, match="correction: epsilon has 3 values, but there are 2"):
+        build_shards(composed(*job[:2], "trials=2")[0])
+
+
 def test_arguments_of_an_environment_are_free():
     check_keys(*composed("env=gym", "env.id=FrozenLake-v1", "+env.kwargs.is_slippery=false"))
 

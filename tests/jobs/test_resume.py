@@ -21,7 +21,9 @@ from trl_explore.jobs import resume
 from trl_explore.jobs.checkpoint import Store, pack
 from trl_explore.jobs.resume import Saver, restore
 from trl_explore.jobs.signals import Interrupted, Interrupts
-from trl_explore.strategies import EpsilonGreedy, Softmax
+from trl_explore.objectives import ReinforceLoss
+from trl_explore.objectives.corrections import AsIf
+from trl_explore.strategies import DecayingEpsilonGreedy, EpsilonGreedy, Softmax
 from trl_explore.training.optimizers import LaneAdam, torch_optimizer
 
 STRATEGIES = [CONF / "strategy" / f"{name}.yaml" for name in options("strategy", "discrete")]
@@ -99,6 +101,18 @@ def test_every_optimiser_and_collector_goes_on(optimizer, collector, k, build, t
     straight = make()
     straight.run()
     stopped = run_with_stops(make, tmp_path, [1, 2, 3])
+    assert outcome(stopped) == outcome(straight)
+
+
+def test_the_bias_of_a_decaying_strategy_goes_on(build, tmp_path):
+    def make():
+        strategy, other = Softmax(), DecayingEpsilonGreedy(0.7)
+        loss = partial(ReinforceLoss, correction=AsIf(other), strategy=strategy)
+        return build(strategy, 3, loss=loss, **SMALL)
+
+    straight = make()
+    straight.run()
+    stopped = run_with_stops(make, tmp_path, [1, 2, 4])
     assert outcome(stopped) == outcome(straight)
 
 

@@ -11,6 +11,7 @@ import torch
 from trl_explore.collectors import FusedCollector
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.objectives.corrections import (
+    AsIf,
     Behaviour,
     NoCorrection,
     PerDecision,
@@ -32,6 +33,7 @@ CORRECTIONS = {
     "trajectory": Trajectory(),
     "clipped": PerStep(clip=2.0),
     "behaviour": Behaviour(),
+    "as_if": AsIf(Softmax()),
 }
 
 

@@ -33,8 +33,15 @@ def write_job(
     evaluate_every: int = 0,
     stop_on: str = "training",
     threshold: float = 195.0,
+    learned: Any = None,
+    learned_score: float = 300.0,
+    assumes: dict[str, Any] | None = None,
 ) -> Path:
-    """A finished job whose trials took ``durations``; those at the cap were stopped there."""
+    """A finished job whose trials took ``durations``; those at the cap were stopped there.
+
+    ``learned``: iterations to learning; a trial that had not learned when it stopped has None.
+    ``assumes``: the strategy that its correction names.
+    """
     job = sweep / name
     (job / ".hydra").mkdir(parents=True)
     (job / ".hydra" / "overrides.yaml").write_text(f"- strategy={strategy}\n- output_dir=/x\n")
@@ -44,7 +51,12 @@ def write_job(
         status = "diverged" if k in diverged else "converged" if passed else "capped"
         score = 196.0 + k / 100 if passed else 20.0 + k
         frames = 20 * n + k + 1
-        lines.append(f"{k},{seed},{n},{passed},{score},{frames},0.5,{status}")
+        line = f"{k},{seed},{n},{passed},{score},{frames},0.5,{status}"
+        if learned is not None:
+            known, until = learned[k] is not None, n if learned[k] is None else learned[k]
+            spent = frames if until == n else min(20 * until, frames)
+            line += f",{passed},{n},{frames},{known},{until},{spent},{learned_score + k}"
+        lines.append(line)
         rows += [f"{k},{i},{score * i / n},20" for i in range(1, n)]
         rows.append(f"{k},{n},{score},{20 + k + 1}")
     columns = "trial,iteration,score,frames"
@@ -62,9 +74,15 @@ def write_job(
         text = "\n".join(["trial,iteration,score", *played]) + "\n"
         (job / "evaluations.csv").write_text(text)
     header = "trial,seed,iterations,converged,score,frames,seconds,status"
+    if learned is not None:
+        header += ",passed,iterations_to_pass,frames_to_pass"
+        header += ",learned,iterations_to_learn,frames_to_learn,learned_score"
     (job / "trials.csv").write_text("\n".join([header, *lines]) + "\n")
     if episodes:
         (job / "episodes.csv").write_text("\n".join([columns, *rows]) + "\n")
+    options = {group: {"_target_": f"x.{name}"} for group, name in (groups or {}).items()}
+    if assumes is not None:
+        options["correction"] = {"_target_": "x.AsIf", "strategy": {"_target_": "x", **assumes}}
     run = {
         "experiment": experiment or sweep.name,
         "strategy": strategy,
@@ -81,7 +99,7 @@ def write_job(
             "stop_on": stop_on,
             "env": {"id": env},
             "strategy": {"_target_": "x", **(parameters or {})},
-            **{group: {"_target_": f"x.{name}"} for group, name in (groups or {}).items()},
+            **options,
         },
         "versions": {"python": "3.11.7", "torch": "2.13.0"},
         "machine": {"system": "Linux", "processor": "x86_64"},
@@ -179,6 +197,32 @@ def write_layouts(folder: Path) -> Path:
                 strategy="epsilon_softmax",
                 parameters={"epsilon": epsilon, "temperature": temperature},
             )  # fmt: skip
+    return folder
+
+
+def write_crossing(folder: Path, trials: int = 40, env: str = "CartPole-v1") -> Path:
+    """Softmax, ε-greedy and argmax, each with a right and a biased gradient, by both measures.
+
+    Means of the iterations to learning: softmax 40, ε-greedy 340 (corrected 70, its bias under
+    softmax 310), argmax 540 (corrected 540).
+    """
+    rng = np.random.default_rng(11)
+    epsilon, temperature = {"epsilon": 0.3}, {"temperature": 1.0}
+
+    def job(name: str, mean: int, strategy: str, parameters: Any, **more: Any) -> None:
+        learned = (mean + rng.integers(-20, 21, trials)).tolist()
+        taken = [min(1000, n + 110) for n in learned]
+        write_job(folder, name, taken, strategy=strategy, parameters=parameters, env=env,
+                  learned=learned, evaluate_every=20, **more)  # fmt: skip
+
+    for correction, softmax, greedy, argmax in (
+        ("NoCorrection", 40, 340, 540), ("PerStep", 40, 70, 540),
+    ):  # fmt: skip
+        groups = {"correction": correction}
+        job(f"softmax,{correction}", softmax, "softmax", temperature, groups=groups)
+        job(f"epsilon_greedy,{correction}", greedy, "epsilon_greedy", epsilon, groups=groups)
+        job(f"argmax,{correction}", argmax, "argmax", None, groups=groups)
+    job("softmax,as_if_epsilon", 310, "softmax", temperature, assumes=epsilon)
     return folder
 
 

@@ -47,7 +47,7 @@ def test_what_the_corrections_do_stands_before_the_distance(tmp_path, make_job, 
         make_job(tmp_path / "thesis", strategy, [150, 160, 170], strategy=strategy)
     folders = [tmp_path / "thesis", layouts / "corrections"]
     text = build_report(folders, tmp_path / "out", resamples=99)[0].read_text(encoding="utf-8")
-    section = text[text.index('<section id="why">') :]
+    section = text[text.index('<section id="why-section">') :]
     section = section[: section.index("</section>")]
     far = section.index("How far μ was from π</h3>")
     assert section.index('id="figure-corrections-effects"') < far
@@ -81,7 +81,7 @@ def test_conclusions_show_both_verdicts(evidence):
 
 
 def test_the_section_says_what_the_ratio_does_not_correct(html):
-    section = html[html.index('<section id="why">') :]
+    section = html[html.index('<section id="why-section">') :]
     section = section[: section.index("</section>")]
     text = re.sub(r"\s+", " ", re.sub("<[^>]*>", "", section))
     assert re.search("corrects the choice of action, but not [^.]*states", text)
@@ -94,7 +94,7 @@ def test_the_section_says_what_the_ratio_does_not_correct(html):
 
 
 def test_without_corrections_there_is_no_such_section(made):
-    assert 'id="why"' not in made.html
+    assert 'id="why-section"' not in made.html
 
 
 def test_every_id_of_the_page_is_unique(html):

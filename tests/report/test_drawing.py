@@ -12,8 +12,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from trl_explore.report.evidence import GroupEvidence, gather
+from tests.report.conftest import write_crossing
+from trl_explore.report.evidence import Evidence, GroupEvidence, gather
 from trl_explore.report.figures import KINDS, draw_all
+from trl_explore.report.figures.acting import draw_acting
 from trl_explore.report.figures.forest import oriented
 from trl_explore.report.figures.survival import draw_survival
 from trl_explore.report.loading import load
@@ -71,10 +73,27 @@ def check(figure: Figure) -> None:
         assert inside, f"{text!r} is cut off"
 
 
+@pytest.fixture(scope="module")
+def by_learning(tmp_path_factory, make_job) -> Evidence:
+    """Strategies alone, and crossed with the bias of their gradient, by both measures."""
+    folder: Path = tmp_path_factory.mktemp("learned")
+    write_crossing(folder / "corrections", trials=8)
+    for strategy in ("random", "argmax", "decaying_epsilon_greedy"):
+        learned = [None, *range(30, 65, 5)]
+        make_job(folder / "thesis", strategy, [1000, *range(140, 210, 10)], strategy=strategy,
+                 learned=learned)  # fmt: skip
+    return gather(load([folder]), resamples=99)
+
+
+def test_no_text_lies_on_another_in_the_figure_of_why(by_learning):
+    with visual_language():
+        check(draw_acting(by_learning.decompositions))
+
+
 @pytest.mark.parametrize("kind", KINDS, ids=lambda k: k.name)
-def test_no_text_lies_on_another_in_any_figure(study, laid_out, kind):
+def test_no_text_lies_on_another_in_any_figure(study, laid_out, by_learning, kind):
     drawn = 0
-    for part in [*study, *laid_out]:
+    for part in [*study, *laid_out, *by_learning.groups]:
         if kind.applies(part):
             with visual_language():
                 check(kind.draw(part))

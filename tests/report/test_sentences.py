@@ -8,13 +8,12 @@ import pytest
 from tests.statistics import conftest
 from trl_explore.report.sentences import (
     answer,
-    because,
     option_sentences,
     plane_sentences,
     verdicts,
 )
 from trl_explore.statistics.comparisons import compare_all, compare_pairs
-from trl_explore.thesis import CLAIMS, Checked, Finding, Study, Verdict, check_claims, why
+from trl_explore.thesis import CLAIMS, Checked, Finding, Study, Verdict, check_claims
 
 make, rng = conftest.make, conftest.rng
 
@@ -107,21 +106,6 @@ def test_verdicts_are_counted():
         " (settling all that have an estimate takes 1,200 trials per configuration)"
         " and 1 was not measured."
     )
-
-
-def test_what_the_bias_explains_is_said_with_its_verdict():
-    first, second, third = (Checked(claim, Finding(v, "")) for claim, v in zip(
-        why.CLAIMS, ("holds", "open", "not measured"), strict=False
-    ))  # fmt: skip
-    text = because([first, second, third])
-    statements = [re.escape(claim.statement.rstrip(".")) for claim in why.CLAIMS]
-    assert re.search(f"“{statements[0]}”[^“]* holds.*“{statements[1]}”[^“]* open", text)
-    assert statements[2] not in text
-    assert because([third]) == because([]) == ""
-
-
-def test_the_statements_on_the_bias_are_among_those_that_are_checked():
-    assert set(why.BIAS) < {claim.id for claim in why.CLAIMS}
 
 
 def test_options_are_sorted_into_fewer_more_same_and_unclear(make, rng):

@@ -27,7 +27,8 @@ class Rollout(NamedTuple):
     Attributes:
         frames: all frames, flat [frames]; see ``EpisodeCollector`` for the entries.
         score: the undiscounted return of every episode [active], in ascending order of trials;
-            [active, k] if every trial has k > 1 episodes.
+            [active, k] if every trial has k > 1 episodes. It is the sum of the environment's
+            rewards in double precision.
         length: the number of frames of every episode, in the same shape.
     """
 
@@ -51,7 +52,7 @@ class EpisodeCollector(BaseCollector):
         next.reward        [frames, 1]            float32
         next.done, next.terminated, next.truncated  [frames, 1]  bool
         next.step_count    [frames, 1]            int64, from 1
-        next.episode_reward [frames, 1]           float32, the sum so far; the score at done
+        next.episode_reward [frames, 1]           float32, ``RewardSum``: the sum so far
 
     and "action_mask" if the environment has one. As with TorchRL's ``compact_obs``, the next
     observation is not stored twice.
@@ -152,6 +153,51 @@ class EpisodeCollector(BaseCollector):
     @abstractmethod
     def _collect(self, active: NDArray[np.bool_]) -> Rollout:
         """The episodes of every active trial k, from ``self.episodes[k]`` on; flat outcomes."""
+
+    def play(
+        self, trials: NDArray[np.int64], episodes: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Play chosen episodes and keep only their outcomes; the counters do not change.
+
+        Args:
+            trials: the trial of each episode [m], in any order.
+            episodes: its number [m]: trial and number determine the episode.
+
+        Returns:
+            The undiscounted return [m] and the number of frames [m] of each.
+
+        Raises:
+            RuntimeError: if the collector has been shut down.
+        """
+        if self.closed:
+            raise RuntimeError("the collector has been shut down")
+        trials, episodes = (np.asarray(x, dtype=np.int64) for x in (trials, episodes))
+        if trials.ndim != 1 or trials.shape != episodes.shape:
+            raise ValueError(
+                f"trials {trials.shape} and episodes {episodes.shape}: both must be [m]"
+            )
+        if len(trials) and not 0 <= trials.min() <= trials.max() < self.trials:
+            raise ValueError(f"trials must be from 0 to {self.trials - 1}")
+        return self._play(trials, episodes)
+
+    def _play(
+        self, trials: NDArray[np.int64], episodes: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Collect the episodes in rounds with at most one per trial, and drop the frames."""
+        score, length = np.empty(len(trials)), np.empty(len(trials), dtype=np.int64)
+        counters, per_update = self.episodes.copy(), self.episodes_per_update
+        todo, self.episodes_per_update = np.arange(len(trials)), 1
+        try:
+            while len(todo):
+                _, first = np.unique(trials[todo], return_index=True)
+                rows, active = todo[first], np.zeros(self.trials, dtype=np.bool_)
+                active[trials[rows]] = True
+                self.episodes[trials[rows]] = episodes[rows]
+                _, score[rows], length[rows] = self._collect(active)
+                todo = np.delete(todo, first)
+        finally:
+            self.episodes[:], self.episodes_per_update = counters, per_update
+        return score, length
 
     def iterator(self) -> Iterator[TensorDictBase]:
         """Yield copies of the frames until ``total_frames`` is reached, or forever."""

@@ -89,14 +89,14 @@ def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shar
     return Shards(trainers)
 
 
-def build_trainer(config: DictConfig) -> Trainer:
-    """Build one trainer for all trials of a job.
+def build_trainer(config: DictConfig, rows: slice | None = None) -> Trainer:
+    """Build one trainer for some of a job's trials; None: for all.
 
     Raises:
         ConfigError: if a value is not allowed.
     """
     _check(config)
-    return _build_trainer(config, slice(0, config.trials))
+    return _build_trainer(config, rows or slice(0, config.trials), announce=rows is None)
 
 
 def _check(config: DictConfig) -> None:
@@ -112,14 +112,12 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from tensordict.nn import TensorDictSequential
 
     from trl_explore.collectors import auto_collector
-    from trl_explore.numerics.compiled.cache import lock_cache
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.record import Trials
     from trl_explore.training.trainer import Trainer
     from trl_explore.training.visits import Visits
 
-    lock_cache()
     size = rows.stop - rows.start
     trials = _build(
         None,
@@ -141,9 +139,11 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     baseline.bind(env)
     optimizer = _instantiate(config, "optimizer")(_parameters(policy, baseline))
     actor = actor_of(policy)
+    correction = _instantiate(config, "correction")()
+    _build("correction", lambda: correction.take(rows, config.trials))
     loss = _instantiate(config, "loss")(
         actor,
-        correction=_instantiate(config, "correction")(),
+        correction=correction,
         baseline=baseline,
         strategy=strategy,
         trials=size,

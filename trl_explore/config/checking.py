@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
-from hydra.errors import MissingConfigException
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
@@ -19,6 +20,7 @@ from trl_explore.config.files import (
     load,
     same,
     schedules_of,
+    strategies_of,
 )
 
 
@@ -29,7 +31,7 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
         ConfigError: if a key is unknown or missing; the message names it and the known keys.
     """
     for name in schedules_of(choices):
-        if not re.fullmatch(r"strategy\.\w+", name):
+        if not re.fullmatch(r"(correction\.)?strategy\.\w+", name):
             raise ConfigError(
                 "a schedule must name a parameter of the strategy, "
                 f"+schedule@strategy.NAME=…, got {name!r}"
@@ -45,17 +47,20 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
         if not isinstance(config[name], bool):
             raise ConfigError(f"{name} must be true or false, got {config[name]!r}")
     for group in GROUPS:
-        _check_group(config, group, choices.get(group))
+        _check_group(config, group, choices)
     for name, expected in defaults.strategy.items():
         _check_schedule(config, str(name), expected, choices)
 
 
-def _check_group(config: DictConfig, group: str, option: str | None) -> None:
+def _check_group(config: DictConfig, group: str, choices: Mapping[str, str | None]) -> None:
     if not isinstance(config[group], DictConfig):
         raise ConfigError(f"{group} must name a file of conf/{group}/, got {config[group]}")
-    allowed = {str(key) for key in load(f"{group}/{option}")}
+    option = choices.get(group)
+    allowed = {str(key) for key in load(f"{group}/{option}")} - {"defaults"}
     if not allowed:
         return  # the user's own file; the constructor checks its keys
+    parts = strategies_of(choices)
+    allowed |= {key.removeprefix(f"{group}.") for key in parts if key.startswith(f"{group}.")}
     given = {str(key) for key in config[group]}
     for name in sorted(given - allowed):
         shown = sorted(key for key in allowed if not key.startswith("_"))
@@ -113,6 +118,24 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = ""
         elif not same(a, b):
             found.append(f"{prefix}{key}: {a} before, {b} now")
     return found
+
+
+def unreadable(words: Iterable[str]) -> str:
+    """One line on the first argument that Hydra's grammar cannot read; empty if it can read all."""
+    parser = OverridesParser.create()
+    for word in words:
+        if word.startswith("-"):
+            continue
+        try:
+            parser.parse_override(word)
+        except HydraException:
+            key, equals, value = word.partition("=")
+            if not equals:
+                return f"cannot read the argument {word!r}; arguments have the form key=value"
+            quoted = value.replace("'", "\\'")
+            remedy = f"{key}='{quoted}'"
+            return f'cannot read {word}: put the value in quotes, twice for the shell: "{remedy}"'
+    return ""
 
 
 def describe(error: BaseException) -> str:

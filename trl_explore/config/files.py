@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,8 @@ from omegaconf import DictConfig, OmegaConf
 _PACKAGE = Path(__file__).resolve().parents[1]
 CONF = next(p for p in (_PACKAGE / "conf", _PACKAGE.parent / "conf") if p.is_dir())
 """The folder of the configuration files: inside an installed package, next to it in a checkout."""
+_folders = [CONF]
+"""The folders that are searched for a file, the user's own (``--config-dir``) first."""
 GROUPS = (
     "env", "policy", "strategy", "loss", "correction", "baseline", "optimizer", "collector",
 )  # fmt: skip
@@ -23,10 +25,28 @@ INERT = (
     "checkpoint_seconds",
 )  # fmt: skip
 """Keys that do not change results; they are not part of a job's name or identity."""
+STRATEGY = "strategy@"
+"""Prefix of a choice that gives a part a strategy from ``conf/strategy``, as in
+``correction=as_if strategy@correction.strategy=argmax``."""
 
 
 class ConfigError(ValueError):
     """A configuration that cannot be run; the message is one line."""
+
+
+def search_in(folders: Iterable[Path]) -> None:
+    """Search these folders for configuration files, in this order, and then ``conf/``."""
+    wanted = [*dict.fromkeys([*(path.resolve() for path in folders), CONF])]
+    if wanted != _folders:
+        _folders[:] = wanted
+        load.cache_clear()
+        _defaults.cache_clear()
+
+
+def files_of(group: str) -> dict[str, Path]:
+    """The files of a group by name; a user's own file replaces that of ``conf/``."""
+    found = (path for folder in reversed(_folders) for path in (folder / group).glob("*.yaml"))
+    return {path.stem: path for path in sorted(found, key=lambda path: path.stem)}
 
 
 def defaults_of(choices: Mapping[str, str | None]) -> DictConfig:
@@ -39,7 +59,10 @@ def _defaults(items: tuple[tuple[str, str | None], ...]) -> DictConfig:
     choices = dict(items)
     defaults = load("train").copy()
     for group in GROUPS:
-        defaults[group] = load(f"{group}/{choices.get(group)}")
+        defaults[group] = load(f"{group}/{choices.get(group)}").copy()
+        defaults[group].pop("defaults", None)
+    for key, option in strategies_of(choices).items():
+        OmegaConf.update(defaults, key, load(f"strategy/{option}"), merge=False)
     defaults = OmegaConf.merge(defaults, load(f"experiment/{choices.get('experiment')}"))
     assert isinstance(defaults, DictConfig)
     for key in ("defaults", "hydra"):
@@ -52,19 +75,28 @@ def _defaults(items: tuple[tuple[str, str | None], ...]) -> DictConfig:
 
 @cache
 def load(name: str) -> DictConfig:
-    """A file of ``conf/``, named without extension; empty if it does not exist. Do not modify."""
-    path = CONF / f"{name}.yaml"
-    content = OmegaConf.load(path) if path.is_file() else OmegaConf.create()
+    """A configuration file, named without extension; empty if there is none. Do not modify."""
+    paths = [path for folder in _folders if (path := folder / f"{name}.yaml").is_file()]
+    content = OmegaConf.load(paths[0]) if paths else OmegaConf.create()
     assert isinstance(content, DictConfig)
     return content
 
 
 def schedules_of(choices: Mapping[str, str | None]) -> dict[str, str]:
     """The parameters that have a schedule, each with its file in ``conf/schedule``."""
+    return _files_of(choices, SCHEDULE)
+
+
+def strategies_of(choices: Mapping[str, str | None]) -> dict[str, str]:
+    """The parts that have a strategy of their own, each with its file in ``conf/strategy``."""
+    return _files_of(choices, STRATEGY)
+
+
+def _files_of(choices: Mapping[str, str | None], prefix: str) -> dict[str, str]:
     return {
-        key.removeprefix(SCHEDULE): str(option)
+        key.removeprefix(prefix): str(option)
         for key, option in sorted(choices.items())
-        if key.startswith(SCHEDULE)
+        if key.startswith(prefix)
     }
 
 

@@ -1,7 +1,7 @@
 """Environments: any gymnasium id as one TorchRL environment, with the lanes as batch dimension.
 
-``make_env`` is imported on first use, so that worker processes can import ``envs.copies`` without
-torch.
+``make_env`` is imported on first use, so that worker processes can import ``envs.processes``
+without torch.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ file is rejected.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -122,6 +123,19 @@ TRIAL_COLUMNS: dict[str, Column] = {
     "seconds": Column(numbers, "{:.6f}".format),
     "status": Column(statuses),
 }
+PASS_COLUMNS: dict[str, Column] = {
+    "passed": Column(booleans),
+    "iterations_to_pass": Column(integers),
+    "frames_to_pass": Column(integers),
+}
+"""Further columns of ``trials.csv``; files of older versions have none."""
+LEARN_COLUMNS: dict[str, Column] = {
+    "learned": Column(booleans),
+    "iterations_to_learn": Column(integers),
+    "frames_to_learn": Column(integers),
+    "learned_score": Column(numbers),
+}
+"""Further columns of ``trials.csv`` of a job that has evaluations."""
 EPISODE_COLUMNS: dict[str, Column] = {
     "trial": Column(integers),
     "iteration": Column(integers),
@@ -157,13 +171,17 @@ def join_rows(names: Iterable[str], rows: Iterable[str]) -> str:
 
 
 def read_table(
-    path: Path, columns: Mapping[str, Column], *, header: bool = True
+    path: Path,
+    columns: Mapping[str, Column],
+    *groups: Mapping[str, Column],
+    header: bool = True,
 ) -> dict[str, NDArray[Any]]:
     """Read the given columns of a table; the others are ignored.
 
     Args:
         path: the file.
         columns: by name.
+        groups: further columns; of each group, the file has all or none.
         header: whether the first line names the columns; if not, they are ``columns``, in order.
 
     Raises:
@@ -174,6 +192,9 @@ def read_table(
     for number, fields in enumerate(rows, start=1 + header):
         if len(fields) != len(names):
             raise ResultsError(f"{path}: line {number} has {len(fields)} fields, not {len(names)}")
+    for group in groups:
+        if any(name in names for name in group):
+            columns = {**columns, **group}
     missing = [name for name in columns if name not in names]
     if missing:
         raise ResultsError(f"{path}: missing column: {', '.join(missing)}")
@@ -193,7 +214,7 @@ def read_table(
 def _fields(path: Path) -> list[list[str]]:
     """The fields of every line."""
     try:
-        text = path.read_bytes().decode()
+        text = read_file(path).decode()
     except FileNotFoundError:
         raise ResultsError(f"{path}: missing") from None
     except OSError as error:
@@ -203,6 +224,17 @@ def _fields(path: Path) -> list[list[str]]:
     if not text.endswith("\n"):
         raise ResultsError(f"{path}: truncated: the last line has no newline")
     return [line.removesuffix("\r").split(",") for line in text[:-1].split("\n")]
+
+
+def read_file(path: Path) -> bytes:
+    """The contents of a regular file; a pipe in a folder of results would block its reader.
+
+    Raises:
+        OSError: if the file cannot be read, or is not a regular file.
+    """
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    return path.read_bytes()
 
 
 def write_whole(path: Path, data: bytes, tag: str = "") -> None:

@@ -6,6 +6,7 @@ import json
 import math
 import os
 from collections.abc import Iterable, Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,8 @@ from trl_explore.jobs.columns import (
     CURVE_COLUMNS,
     EPISODE_COLUMNS,
     EPISODES,
+    LEARN_COLUMNS,
+    PASS_COLUMNS,
     RUN,
     RUN_KEYS,
     SCALARS,
@@ -27,6 +30,7 @@ from trl_explore.jobs.columns import (
     TRIALS,
     WEIGHTS,
     ResultsError,
+    read_file,
     read_table,
 )
 from trl_explore.statistics.outcomes import Outcomes
@@ -47,7 +51,7 @@ def read_run(job: Path) -> dict[str, Any]:
         ResultsError: if it is missing or invalid.
     """
     try:
-        run = json.loads((job / RUN).read_text(encoding="utf-8"))
+        run = json.loads(read_file(job / RUN))
         if missing := RUN_KEYS.keys() - set(run):
             raise KeyError(*sorted(missing))
         _check_kinds(run, RUN_KEYS)
@@ -106,13 +110,22 @@ def read_trials(job: Path) -> pd.DataFrame:
 
 def _trials(job: Path) -> dict[str, NDArray[Any]]:
     """The columns of ``trials.csv``, each [n_trials]."""
-    columns = read_table(job / TRIALS, TRIAL_COLUMNS)
+    columns = read_table(job / TRIALS, TRIAL_COLUMNS, PASS_COLUMNS, LEARN_COLUMNS)
     if (columns["iterations"] < 1).any() or (columns["frames"] < 1).any():
         raise ResultsError(f"{job / TRIALS}: a trial has no iterations or no frames")
     if (np.diff(columns["trial"]) != 1).any():
         raise ResultsError(f"{job / TRIALS}: the trials are not consecutive")
     if (columns["converged"] != (columns["status"] == "converged")).any():
         raise ResultsError(f"{job / TRIALS}: status and converged contradict each other")
+    for event, name, least in (("passed", "pass", 1), ("learned", "learn", 0)):
+        if event not in columns:
+            continue
+        for kind, low in (("iterations", least), ("frames", least)):
+            until, total = columns[f"{kind}_to_{name}"], columns[kind]
+            if ((until < low) | (until > total) | (~columns[event] & (until != total))).any():
+                raise ResultsError(
+                    f"{job / TRIALS}: {kind}_to_{name} contradicts {event} or {kind}"
+                )
     return columns
 
 
@@ -150,10 +163,10 @@ def read_weights(job: Path) -> dict[str, NDArray[Any]]:
         ResultsError: if the file is missing or damaged.
     """
     from safetensors import SafetensorError
-    from safetensors.numpy import load_file
+    from safetensors.numpy import load
 
     try:
-        return load_file(job / WEIGHTS)
+        return load(read_file(job / WEIGHTS))
     except FileNotFoundError:
         raise ResultsError(f"{job / WEIGHTS}: missing") from None
     except (SafetensorError, OSError) as error:
@@ -208,7 +221,7 @@ def _read_csv(path: Path, columns: Iterable[str]) -> pd.DataFrame:
     import pandas as pd
 
     try:
-        frame = pd.read_csv(path)
+        frame = pd.read_csv(BytesIO(read_file(path)))
     except FileNotFoundError:
         raise ResultsError(f"{path}: missing") from None
     except (OSError, ValueError) as error:
@@ -229,7 +242,8 @@ def read_job(job: Path) -> Outcomes:
     Raises:
         ResultsError: if the folder holds no finished job, or its files contradict each other.
     """
-    run, columns = read_run(job), _trials(job)
+    run = read_run(job)
+    columns: dict[str, Any] = dict(_trials(job))
     config = run["config"]
     if len(columns["trial"]) != run["trials"]:
         raise ResultsError(

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.report.claims import claims_table, why_tables
+from trl_explore.report.decomposition_tables import decomposition_tables
 from trl_explore.report.evidence import gather
-from trl_explore.report.figures import draw_all
+from trl_explore.report.figures import draw_all, draw_why
 from trl_explore.report.loading import Gap, load
 from trl_explore.report.page import TITLE, Content, page
 from trl_explore.report.results_tables import (
@@ -44,7 +45,12 @@ def build_report(
     evidence = gather(load(folders), resamples=resamples)
     figures = {part.group.id: list(draw_all(part)) for part in evidence.groups}
     tables: dict[str, list[Table]] = {
-        part.group.id: [summary_table(part), comparison_table(part)] for part in evidence.groups
+        part.group.id: [
+            summary_table(part),
+            comparison_table(part),
+            *([comparison_table(part.learned, learned=True)] if part.learned else []),
+        ]
+        for part in evidence.groups
     }
     content = Content(
         evidence=evidence,
@@ -53,15 +59,17 @@ def build_report(
         jobs=jobs_table(evidence),
         gaps=gaps_table(evidence),
         why=why_tables(evidence),
+        parts=decomposition_tables(evidence.decompositions),
+        acting=list(draw_why(evidence.decompositions)),
     )
     html = page(content)
     _clear(out)
-    for group in figures.values():
+    for group in [*figures.values(), content.acting]:
         for figure in group:
             _write(out / FIGURES / f"{figure.id}.svg", figure.svg)
             _fresh(out / FIGURES / f"{figure.id}.png").write_bytes(figure.png)
     for table in [
-        claims_table(evidence.checked), content.jobs, content.gaps, *content.why,
+        claims_table(evidence.checked), content.jobs, content.gaps, *content.parts, *content.why,
         *(t for part in tables.values() for t in part),
     ]:  # fmt: skip
         _write_table(out / TABLES, table)

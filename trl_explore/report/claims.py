@@ -80,7 +80,7 @@ def claims_table(
 
 
 def why_tables(evidence: Evidence) -> list[Table]:
-    """The tables of the section on the bias; empty if no corrections were run."""
+    """The tables on what survives a correction; empty if no corrections were run."""
     if not evidence.reexamined:
         return []
     return [

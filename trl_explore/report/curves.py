@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from trl_explore.jobs.reading import read_curves, read_episodes
 from trl_explore.jobs.records import read_diagnostics, read_evaluations, read_visits
 from trl_explore.report.groups import Group
 from trl_explore.report.loading import Gap, Job, gap
+from trl_explore.statistics.decomposition import curve_means, same_weights
 from trl_explore.training.columns import DIAGNOSTICS
 
 POINTS = 240
@@ -49,6 +51,7 @@ class Traces:
             quantities that were recorded.
         evaluations: score in training and score of the greedy policy, means over trials.
         visits: where the trials of the first job have been, see ``read_visits``.
+        heights: mean heights of the curves of every trial.
         gaps: what could not be read.
 
     """
@@ -57,7 +60,28 @@ class Traces:
     diagnostics: dict[str, dict[str, Curve]] = field(default_factory=dict)
     evaluations: dict[str, tuple[Curve, Curve]] = field(default_factory=dict)
     visits: dict[str, dict[str, NDArray[np.int64]]] = field(default_factory=dict)
+    heights: dict[str, Heights] = field(default_factory=dict)
     gaps: list[Gap] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Heights:
+    """Mean scores of every trial over its training, without and with exploration.
+
+    Attributes:
+        keys: (seed, trial) of each trial [n].
+        learned: mean height of the learned curve [n]; a trial that stopped keeps its last value up
+            to the cap.
+        evaluated: the same over those evaluations that have a training episode with the same
+            weights, up to the last of them [n].
+        behaved: mean height of the curve of these training episodes [n].
+
+    """
+
+    keys: Sequence[tuple[int, int]]
+    learned: NDArray[np.float64]
+    evaluated: NDArray[np.float64]
+    behaved: NDArray[np.float64]
 
 
 def running_means(
@@ -111,19 +135,16 @@ def read_traces(group: Group) -> Traces:
         parts = _Parts(end, group.window)
         for job in group.jobs[c.name]:
             parts.read(job)
-        try:
-            visits = read_visits(group.jobs[c.name][0].folder)
-        except ResultsError as error:
-            parts.gaps.append(gap(group.jobs[c.name][0].folder, error))
-        else:
-            if visits is not None:
-                traces.visits[c.name] = visits
+        if (visits := parts.visits(group.jobs[c.name][0])) is not None:
+            traces.visits[c.name] = visits
         traces.gaps.extend(parts.gaps)
         if (curve := parts.learning()) is not None:
             traces.learning[c.name] = curve
         for name, tables in parts.diagnostics.items():
             if (curve := _middle(parts.few, tables)) is not None:
                 traces.diagnostics.setdefault(name, {})[c.name] = curve
+        if parts.heights:
+            traces.heights[c.name] = _joined(parts.heights)
         if parts.evaluations and parts.scores:
             x = parts.at.astype(np.float64)
             training, greedy = (
@@ -150,6 +171,7 @@ class _Parts:
         self.weights: list[int] = []
         self.diagnostics: dict[str, list[NDArray[np.float64]]] = {}
         self.evaluations: list[NDArray[np.float64]] = []
+        self.heights: list[Heights] = []
         self.gaps: list[Gap] = []
 
     def read(self, job: Job) -> None:
@@ -183,6 +205,16 @@ class _Parts:
             self.evaluations.append(
                 running_means(played["trial"], played["iteration"], played["score"], count, self.at)
             )
+            if (found := _heights(job, played, _columns(episodes, "score"))) is not None:
+                self.heights.append(found)
+
+    def visits(self, job: Job) -> dict[str, NDArray[np.int64]] | None:
+        """Where the trials of a job have been; None if that was not recorded."""
+        try:
+            return read_visits(job.folder)
+        except ResultsError as error:
+            self.gaps.append(gap(job.folder, error))
+            return None
 
     def learning(self) -> Curve | None:
         """The learning curve, with a band if every job recorded its episodes."""
@@ -196,6 +228,31 @@ class _Parts:
             sizes = [*self.weights, *(s.shape[1] for s in self.scores)]
             return Curve(x, np.average(parts, axis=0, weights=sizes))
         return None
+
+
+def _heights(
+    job: Job,
+    played: Mapping[str, NDArray[Any]],
+    trained: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]],
+) -> Heights | None:
+    """The heights of a job's curves; None unless every trial has evaluations that serve."""
+    trial, iteration, score = played["trial"], played["iteration"], played["score"]
+    names, learned = curve_means(trial, iteration, score, job.outcomes.cap)
+    behaved = same_weights((trial, iteration), trained)
+    both = np.isfinite(behaved)
+    seeds = dict(zip(job.outcomes.trial.tolist(), job.outcomes.seed.tolist(), strict=True))
+    of, evaluated = curve_means(trial[both], iteration[both], score[both])
+    if len(names) < len(seeds) or len(of) < len(names):
+        return None
+    means = curve_means(trial[both], iteration[both], behaved[both])[1]
+    return Heights([(seeds[t], t) for t in names.tolist()], learned, evaluated, means)
+
+
+def _joined(parts: Sequence[Heights]) -> Heights:
+    """The heights of several jobs."""
+    keys = [key for part in parts for key in part.keys]
+    arrays = ("learned", "evaluated", "behaved")
+    return Heights(keys, *(np.concatenate([getattr(p, a) for p in parts]) for a in arrays))
 
 
 def _middle(at: NDArray[np.int64], tables: Sequence[NDArray[np.float64]]) -> Curve | None:

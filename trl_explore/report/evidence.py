@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from trl_explore.names import experiment
 from trl_explore.report import sizes
+from trl_explore.report.cells import runs_of
 from trl_explore.report.curves import Traces, read_traces
+from trl_explore.report.decomposition import Decomposition, decompose
 from trl_explore.report.groups import Group, group_jobs
+from trl_explore.report.headline import headline
 from trl_explore.report.loading import Gap, Loaded
 from trl_explore.report.sentences import (
     answer,
-    because,
     option_sentences,
     plane_sentences,
+    score_sentence,
     verdicts,
 )
 from trl_explore.statistics.bootstrap import RESAMPLES, streams
-from trl_explore.statistics.comparisons import Comparison, compare_all, compare_pairs
+from trl_explore.statistics.comparisons import Comparison, compare_pairs
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import SharedTrials, shared_trials
 from trl_explore.statistics.power import fewest_pairs
+from trl_explore.statistics.scores import ScoreComparison, compare_scores
 from trl_explore.statistics.summary import Summary, summarise_all
 from trl_explore.thesis import Checked, Study, check_claims, why
 
@@ -38,7 +43,9 @@ class GroupEvidence:
     """The results for one group; ``sentences`` state the fastest and the significant differences.
 
     If nothing can be compared, ``comparisons`` is empty and ``incomparable`` gives the reason. For
-    a crossed group or a plane, it holds the planned pairs only.
+    a crossed group or a plane, it holds the planned pairs only. ``scores`` compares the final
+    scores of the same pairs. ``learned`` has the same results by what was learned; None if that is
+    unknown.
     """
 
     group: Group
@@ -48,6 +55,8 @@ class GroupEvidence:
     sentences: tuple[str, ...]
     traces: Traces
     resamples: int
+    scores: list[ScoreComparison]
+    learned: GroupEvidence | None = None
 
     @property
     def strict_level(self) -> float:
@@ -68,13 +77,14 @@ class GroupEvidence:
 class Evidence:
     """All results of the report; the main group comes first, ``answer`` is a few sentences.
 
-    ``reexamined`` and ``causes`` are empty if no corrections were run.
+    ``decompositions``, ``reexamined`` and ``causes`` are empty if no corrections were run.
     """
 
     groups: list[GroupEvidence]
     checked: list[Checked]
     reexamined: list[why.Reexamined]
     causes: list[Checked]
+    decompositions: list[Decomposition]
     answer: tuple[str, ...]
     shared: list[SharedTrials]
     gaps: list[Gap]
@@ -103,13 +113,15 @@ def gather(loaded: Loaded, *, resamples: int = RESAMPLES) -> Evidence:
     )
     checked = check_claims(study, rngs["claims"])
     reexamined, causes = _why(study, rngs)
-    bias = because([c for c in causes if c.claim.id in why.BIAS])
+    runs = [run for part in parts for run in runs_of(part.group, part.traces.heights)]
+    decompositions = decompose(runs)
     return Evidence(
         groups=parts,
         checked=checked,
         reexamined=reexamined,
         causes=causes,
-        answer=(*parts[0].sentences, *([bias] if bias else []), verdicts(checked)),
+        decompositions=decompositions,
+        answer=(*headline(decompositions), *parts[0].sentences, verdicts(checked)),
         shared=shared_trials(outcomes),
         gaps=gaps,
         outcomes=outcomes,
@@ -128,24 +140,35 @@ def _why(
 def _group_evidence(
     group: Group, rng: np.random.Generator, resamples: int, gaps: list[Gap]
 ) -> GroupEvidence:
-    configurations = group.configurations
-    n, trials = len(configurations), max(len(c) for c in configurations)
-    planned = _planned(group)
-    pairs = n * (n - 1) / 2 if planned is None else len(planned)
-    if pairs * trials * resamples > MANY_DRAWS:
-        resamples = min(resamples, FEWER_RESAMPLES)
-    rngs = streams(rng, ["summaries", "comparisons"])
-    comparisons: list[Comparison] = []
-    incomparable = "" if n > 1 else "there is only one configuration"
-    try:
-        if planned is None:
-            comparisons = compare_all(configurations, rngs["comparisons"], resamples=resamples)
-        else:
-            comparisons = compare_pairs(planned, rngs["comparisons"], resamples=resamples)
-    except ValueError as error:
-        incomparable = str(error)
     traces = Traces() if group.plane is not None else read_traces(group)
     gaps.extend(traces.gaps)
+    found = _measured(group, traces, rng, resamples)
+    if not group.learned:
+        return found
+    learned = replace(group, configurations=list(group.learned), learned=())
+    by_learning = _measured(learned, traces, rng, resamples)
+    said = tuple(f"By what was learned: {s[:1].lower()}{s[1:]}" for s in by_learning.sentences)
+    return replace(found, learned=by_learning, sentences=(*found.sentences, *said))
+
+
+def _measured(
+    group: Group, traces: Traces, rng: np.random.Generator, resamples: int
+) -> GroupEvidence:
+    """The results of a group by the measure of its configurations."""
+    configurations = group.configurations
+    n, trials = len(configurations), max(len(c) for c in configurations)
+    pairs = _pairs(group)
+    if len(pairs) * trials * resamples > MANY_DRAWS:
+        resamples = min(resamples, FEWER_RESAMPLES)
+    rngs = streams(rng, ["summaries", "comparisons", "scores"])
+    comparisons: list[Comparison] = []
+    scores: list[ScoreComparison] = []
+    incomparable = "" if n > 1 else "there is only one configuration"
+    try:
+        comparisons = compare_pairs(pairs, rngs["comparisons"], resamples=resamples)
+        scores = compare_scores(pairs, rngs["scores"], resamples=resamples)
+    except ValueError as error:
+        incomparable = str(error)
     return GroupEvidence(
         group=group,
         summaries=summarise_all(configurations, rngs["summaries"], resamples=resamples),
@@ -153,20 +176,32 @@ def _group_evidence(
         incomparable=incomparable,
         sentences=(
             *_sentences(group, comparisons),
+            *_scores_said(group, comparisons, scores),
             *(_cut_short(group) or _too_few(comparisons)),
         ),
         traces=traces,
         resamples=resamples,
+        scores=scores,
     )
 
 
-def _planned(group: Group) -> list[tuple[Outcomes, Outcomes]] | None:
-    """The planned pairs of a group with a layout; None: all pairs."""
+def _scores_said(
+    group: Group, comparisons: Sequence[Comparison], scores: Sequence[ScoreComparison]
+) -> tuple[str, ...]:
+    if group.plane is not None or group.sized:
+        return ()
+    what = "learned" if group.configurations[0].measure == "learned" else "final"
+    said = score_sentence(comparisons, scores, group.labels, what)
+    return (said,) if said else ()
+
+
+def _pairs(group: Group) -> list[tuple[Outcomes, Outcomes]]:
+    """The planned pairs of a group with a layout; without one, all pairs."""
     if group.sized:
         return sizes.pairs(group.configurations)
     layout = group.crossed or group.plane
     if layout is None:
-        return None
+        return list(combinations(group.configurations, 2))
     by_name = {c.name: c for c in group.configurations}
     return [(by_name[a], by_name[b]) for a, b in layout.pairs()]
 

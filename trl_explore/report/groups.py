@@ -31,7 +31,7 @@ from trl_explore.report.labels import (
 )
 from trl_explore.report.loading import Job
 from trl_explore.report.style import Style, option_styles, styles
-from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.outcomes import Outcomes, judged
 from trl_explore.statistics.pairing import configuration_key, deduplicate, pool, select
 
 THESIS: Mapping[str, float] = {"epsilon": 0.0, "temperature": 1.0}
@@ -109,7 +109,9 @@ class Group:
         threshold: score above which a trial passes.
         window: number of episodes that the final score averages over.
         environment: id of the environment.
-        configurations: in the order of the figures; seeds pooled, each (seed, trial) once.
+        configurations: in the order of the figures; seeds pooled, each (seed, trial) once; judged
+            by training scores if these decide, else as the jobs were stopped.
+        learned: the same, judged by what was learned; empty if that is unknown.
         labels: name of a configuration -> label.
         styles: name of a configuration -> style.
         jobs: name of a configuration -> its jobs.
@@ -135,6 +137,7 @@ class Group:
     crossed: Crossed | None = None
     plane: Plane | None = None
     sized: bool = False
+    learned: Sequence[Outcomes] = ()
 
     @property
     def is_grid(self) -> bool:
@@ -253,6 +256,8 @@ def _group(name: str, jobs: list[Job]) -> Group:
         for c, key in zip(pooled, members, strict=True)
     }
     ordered = natural_order(pooled)
+    learned = _judged(ordered, "learned")
+    ordered = _judged(ordered, "passed") or ordered
     first = ordered[0]
     layout = crossed(ordered)
     if layout is None:
@@ -277,7 +282,16 @@ def _group(name: str, jobs: list[Job]) -> Group:
         crossed=layout,
         plane=plane(ordered),
         sized=any(SIZE in words for words in label_parts(ordered).values()),
+        learned=learned,
     )
+
+
+def _judged(configurations: Sequence[Outcomes], measure: str) -> list[Outcomes]:
+    """The configurations by one measure; empty if it is unknown of one."""
+    try:
+        return [judged(c, measure) for c in configurations]
+    except ValueError:
+        return []
 
 
 def _title(experiment: str, configurations: Sequence[Outcomes]) -> str:

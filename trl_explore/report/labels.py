@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from trl_explore.names import OPTIONS, STRATEGIES, option_label, strategy_label, symbol
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import AGENT_GROUPS, NO_AGENT
+
+ASSUMED = "correction.strategy"
+"""The key of the strategy that a correction names."""
 
 
 def configuration_labels(configurations: Sequence[Outcomes]) -> dict[str, str]:
@@ -40,11 +44,27 @@ def label_parts(configurations: Sequence[Outcomes]) -> dict[str, dict[str, str]]
         own = values[c.name]
         keys = _varying([values[o.name] for o in configurations if o.strategy == c.strategy])
         words = {"strategy": strategy_label(c.strategy)} if several else {}
+        if f"{ASSUMED}._target_" in own and any(key.startswith("correction.") for key in keys):
+            words["correction"] = _assumed(own)
         for key in keys:
+            if key.startswith("correction.") and "correction" in words:
+                continue
             if key in own and not (key == "baseline.value" and "baseline._target_" in keys):
                 words[key.removesuffix("._target_")] = _words(key, own)
         parts[c.name] = words
     return parts
+
+
+def _assumed(flat: Mapping[str, Any]) -> str:
+    """The strategy whose bias a correction has, with its parameters: ``bias of ε-greedy 0.3``."""
+    target = str(flat[f"{ASSUMED}._target_"]).rsplit(".", 1)[-1]
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", target).lower()
+    values = [
+        _value(v)
+        for k, v in flat.items()
+        if k.startswith(f"{ASSUMED}.") and "._" not in k and _is_number(v)
+    ]
+    return " ".join([option_label("correction", "AsIf"), strategy_label(name), *values])
 
 
 def _words(key: str, flat: Mapping[str, Any]) -> str:

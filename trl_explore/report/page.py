@@ -18,8 +18,9 @@ from markupsafe import Markup
 from trl_explore.names import STRATEGIES, strategy_label
 from trl_explore.report.claims import claims_table, distance, tally
 from trl_explore.report.evidence import SEED, Evidence, GroupEvidence
-from trl_explore.report.figures import Drawn
+from trl_explore.report.figures import Drawn, Picture
 from trl_explore.report.groups import Group
+from trl_explore.report.headline import headline
 from trl_explore.report.render import inline_svg, theme_css
 from trl_explore.report.tables import Table
 from trl_explore.statistics.estimates import LEVEL
@@ -40,6 +41,8 @@ class Content:
     jobs: Table
     gaps: Table
     why: Sequence[Table] = ()
+    parts: Sequence[Table] = ()
+    acting: Sequence[Picture] = ()
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,7 @@ def page(content: Content) -> str:
     parts, main = evidence.groups, evidence.groups[0].group
     figures = [figure for group in content.figures.values() for figure in group]
     hero = next((f for f in figures if f.kind.hero), None)
+    shown: list[Picture] = [*figures, *content.acting]
     trials = sum(len(c) for part in parts for c in part.group.configurations)
     frames = sum(s.frames_total for part in parts for s in part.summaries)
     environments = dict.fromkeys(part.group.environment for part in parts)
@@ -97,7 +101,7 @@ def page(content: Content) -> str:
         missing = []
     return environment().get_template("page.html").render(
         title=TITLE,
-        css=Markup(_file("page.css") + theme_css(f.svg for f in figures)),
+        css=Markup(_file("page.css") + theme_css(f.svg for f in shown)),
         script=Markup(_file("page.js")),
         facts=f"{trials:,} trials, {frames:,} frames, {len(evidence.outcomes)} jobs.",
         main=main,
@@ -125,7 +129,7 @@ def page(content: Content) -> str:
         ],
         provenance=_provenance(evidence),
         jobs=content.jobs,
-        files=figures,
+        files=shown,
     )  # fmt: skip
 
 
@@ -161,8 +165,8 @@ def _strategies(outcomes: Sequence[Outcomes]) -> list[tuple[str, str]]:
 
 
 def _why(content: Content, hero: Drawn | None) -> dict[str, Any] | None:
-    """The section on the bias; None if no corrections were run."""
-    if not content.why:
+    """The section on acting, bias and data; None if no corrections were run."""
+    if not content.why and not content.parts:
         return None
     evidence = content.evidence
     shown = [
@@ -175,6 +179,9 @@ def _why(content: Content, hero: Drawn | None) -> dict[str, Any] | None:
     return {
         "tally": tally(r.outcome for r in evidence.reexamined),
         "tables": content.why,
+        "acting": content.acting,
+        "parts": content.parts,
+        "headline": headline(evidence.decompositions),
         "effects": [f for f in shown if not f.kind.recorded],
         "distances": [f for f in shown if f.kind.recorded],
         "distance": distance(evidence),

@@ -3,61 +3,81 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from trl_explore.report.evidence import Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
+from trl_explore.report.numbers import figure
 from trl_explore.report.tables import Column, Record, Table
+from trl_explore.statistics.estimates import flat
 from trl_explore.statistics.power import trials_for_difference
 
 
 def summary_table(evidence: GroupEvidence) -> Table:
     """One row per configuration."""
-    group = evidence.group
+    group, learned = evidence.group, evidence.learned
     records = []
     for c, summary in zip(group.configurations, evidence.summaries, strict=True):
         seconds = group.timed(c)[1]
-        records.append(
-            {"configuration": group.labels[c.name], **summary.row()}
-            | {
-                "seconds_mean": float(seconds.mean()) if len(seconds) else None,
-                "timed": len(seconds),
-            }
-        )
+        record = {"configuration": group.labels[c.name], **summary.row()}
+        if learned is not None:
+            record |= {f"learned_{k}": v for k, v in learned.summary(c.name).row().items()}
+        record["seconds_mean"] = float(seconds.mean()) if len(seconds) else None
+        records.append(record | {"timed": len(seconds)})
     columns = [
         Column("configuration", "configuration", lambda r: r["configuration"]),
-        Column("pass_rate", "passed", _passed, True),
+        Column("pass_rate", "passed", _passed(""), True),
         Column("median", "median iterations", _interval("median", _count, "not reached"), True),
-        Column("restricted_mean", "mean iterations", _restricted, True),
+        Column("restricted_mean", "mean iterations", _restricted(""), True),
         Column(
             "expected_running_time",
             "iterations per success",
             _interval("expected_running_time", _count, "∞"),
             True,
         ),
-        Column("score_mean", "mean score", _interval("score_mean", _one), True),
-        Column("score_iqm", "interquartile mean", _interval("score_iqm", _one), True),
+        Column("score_mean", "mean score", _interval("score_mean", _score), True),
+        Column("score_iqm", "interquartile mean", _interval("score_iqm", _score), True),
         Column("frames_mean", "mean frames", _interval("frames_mean", _count), True),
     ]
+    if learned is not None:
+        columns[2:2] = [Column("learned_pass_rate", "learned", _passed("learned_"), True)]
+        columns[5:5] = [
+            Column("learned_restricted_mean", "mean iterations to learning",
+                   _restricted("learned_"), True),
+        ]  # fmt: skip
+        columns[8:8] = [
+            Column("learned_score_mean", "learned score",
+                   _interval("learned_score_mean", _score), True),
+        ]  # fmt: skip
     if any(r["timed"] for r in records):
         columns.append(Column("seconds_mean", "seconds", _seconds, True))
     return Table(f"{group.id}-configurations", f"{group.title}: configurations", columns, records,
                  main=True)  # fmt: skip
 
 
-def comparison_table(evidence: GroupEvidence) -> Table:
-    """One row per pair, with the number of trials that would detect the difference."""
+def comparison_table(evidence: GroupEvidence, *, learned: bool = False) -> Table:
+    """One row per pair, with the number of trials that would detect the difference.
+
+    Args:
+        evidence: the results of a group by one measure.
+        learned: whether that is what was learned.
+
+    """
     labels, level = evidence.group.labels, evidence.strict_level
     short = {label: evidence.group.short(name) for name, label in labels.items()}
     by = f" {evidence.group.parameter}" if evidence.group.parameter else ""
     records = []
+    scores = {(s.a, s.b): s for s in evidence.scores}
     for c in evidence.comparisons:
         needed = trials_for_difference(c.sd, c.difference.value, level=level)
         record = {"experiment": evidence.group.experiment} | c.row()
         named = {"a": labels[c.a], "b": labels[c.b], "winner": labels.get(c.winner or "")}
+        if (score := scores.get((c.a, c.b))) is not None:
+            record |= flat({"score_difference": score.difference, "score_p_holm": score.p_holm})
+            record["higher_score"] = labels.get(score.winner or "")
         records.append(record | named | {"trials_needed": needed})
     columns = [
         Column("a", f"first{by}", lambda r: short[r["a"]]),
@@ -65,9 +85,9 @@ def comparison_table(evidence: GroupEvidence) -> Table:
         Column("winner", "faster", lambda r: short.get(r["winner"], _undecided(r))),
         Column("difference", "first − second, iterations", _interval("difference", _count), True),
         Column("p_holm", "p (Holm)", lambda r: _p(r["p_holm"]), True),
+        Column("score_difference", "first − second, score", _difference, True),
         Column("p_logrank", "p (log-rank)", lambda r: _p(r["p_logrank"]), True),
         Column("faster", "first is faster in", _interval("faster", _percent), True),
-        Column("correlation", "correlation of pairs", lambda r: _plain(r["correlation"], 2), True),
         Column("variance_ratio", "variance kept by pairing",
                lambda r: _plain(r["variance_ratio"], 2), True),
         Column("n_a", "pairs or trials", lambda r: f"{min(r['n_a'], r['n_b']):,}", True),
@@ -75,7 +95,10 @@ def comparison_table(evidence: GroupEvidence) -> Table:
     ]  # fmt: skip
     planned = evidence.group.crossed is not None or evidence.group.plane is not None
     title = f"{evidence.group.title}: {'planned pairs' if planned else 'all pairs'}"
-    return Table(f"{evidence.group.id}-pairs", title, columns, records, main=True)
+    if learned:
+        title += ", by what was learned"
+    end = "pairs-learned" if learned else "pairs"
+    return Table(f"{evidence.group.id}-{end}", title, columns, records, main=True)
 
 
 def jobs_table(evidence: Evidence) -> Table:
@@ -155,16 +178,22 @@ def _interval(key: str, text: Any, infinite: str = "∞") -> Any:
     return write
 
 
-def _passed(r: Record) -> str:
-    low, high = 100 * r["pass_rate_low"], 100 * r["pass_rate_high"]
-    diverged = f", {r['diverged']} diverged" if r["diverged"] else ""
-    return f"{r['converged']} of {r['n']}{diverged}\n{low:.0f} to {high:.0f} %"
+def _passed(measure: str) -> Callable[[Record], str]:
+    def write(r: Record) -> str:
+        low, high = 100 * r[f"{measure}pass_rate_low"], 100 * r[f"{measure}pass_rate_high"]
+        diverged = f", {r['diverged']} diverged" if r["diverged"] else ""
+        return f"{r[f'{measure}converged']} of {r['n']}{diverged}\n{low:.0f} to {high:.0f} %"
+
+    return write
 
 
-def _restricted(r: Record) -> str:
-    error = r["restricted_mean_se"]
-    tail = "" if error is None or math.isnan(error) else f"\n± {error:,.0f}"
-    return f"{r['restricted_mean']:,.0f}{tail}"
+def _restricted(measure: str) -> Callable[[Record], str]:
+    def write(r: Record) -> str:
+        error = r[f"{measure}restricted_mean_se"]
+        tail = "" if error is None or math.isnan(error) else f"\n± {error:,.0f}"
+        return f"{r[f'{measure}restricted_mean']:,.0f}{tail}"
+
+    return write
 
 
 def _seconds(r: Record) -> str:
@@ -185,8 +214,8 @@ def _count(x: float) -> str:
     return f"{x:,.0f}".replace("-", "−")
 
 
-def _one(x: float) -> str:
-    return f"{x:.1f}".replace("-", "−")
+def _score(x: float) -> str:
+    return f"{x:,.1f}".replace("-", "−") if abs(x) >= 9.995 else figure(x)
 
 
 def _percent(x: float) -> str:
@@ -195,6 +224,12 @@ def _percent(x: float) -> str:
 
 def _plain(x: float, digits: int) -> str:
     return "–" if np.isnan(x) else f"{x:.{digits}f}".replace("-", "−")
+
+
+def _difference(r: Record) -> str:
+    if "score_difference" not in r:
+        return "–"
+    return f"{_interval('score_difference', _score)(r)}\np {_p(r['score_p_holm'])}"
 
 
 def _p(p: float) -> str:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from trl_explore.report.numbers import figure, interval, negated
 from trl_explore.statistics.comparisons import Comparison
 from trl_explore.statistics.estimates import LEVEL, pass_rate
 from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.scores import ScoreComparison
 from trl_explore.thesis import FAILS, HOLDS, NOT_MEASURED, OPEN, Checked
 
 MOST = 6
@@ -38,33 +40,6 @@ def answer(
     return (
         _fastest(configurations, comparisons, name),
         _differences(configurations, comparisons, name),
-    )
-
-
-def because(causes: Sequence[Checked]) -> str:
-    """State whether strategies differ in exploration or in the bias of their gradient.
-
-    If the actions are drawn from μ but the gradient is computed as if from π, it is the gradient
-    of neither policy's return.
-
-    Args:
-        causes: the checked statements on what the bias explains.
-
-    Returns:
-        The text; empty if none of the statements was measured.
-
-    """
-    words = {HOLDS: "this holds", FAILS: "this does not hold", OPEN: "this is open"}
-    said = [
-        f"“{c.claim.statement.rstrip('.')}”: {words[c.finding.verdict]}"
-        for c in causes
-        if c.finding.verdict in words
-    ]
-    if not said:
-        return ""
-    return (
-        "The strategies differ not only in exploration: the gradient of an agent that acts by one"
-        f" policy and learns another is biased. {'; '.join(said)}."
     )
 
 
@@ -129,6 +104,45 @@ def option_sentences(
     return tuple(sentences)
 
 
+def score_sentence(
+    comparisons: Sequence[Comparison],
+    scores: Sequence[ScoreComparison],
+    labels: Mapping[str, str],
+    what: str = "final",
+) -> str:
+    """The pairs that differ in their scores although their iterations do not tell them apart.
+
+    Args:
+        comparisons: pairs compared by iterations.
+        scores: the same pairs compared by scores.
+        labels: name of a configuration -> label.
+        what: the kind of score.
+
+    Returns:
+        One sentence; empty if there is no such pair.
+
+    """
+    undecided = {(c.a, c.b) for c in comparisons if c.winner is None}
+    found = [c for c in scores if c.winner is not None and (c.a, c.b) in undecided]
+    if not found:
+        return ""
+    found.sort(key=lambda c: -abs(c.difference.value))
+    said = []
+    for c in found[:MOST]:
+        high, low = (c.a, c.b) if c.winner == c.a else (c.b, c.a)
+        mean = {c.a: c.mean_a, c.b: c.mean_b}
+        e = c.difference if c.winner == c.a else negated(c.difference)
+        said.append(
+            f"{labels[high]} {figure(mean[high])} against {labels[low]} {figure(mean[low])}"
+            f" (difference {interval(e)})"
+        )
+    more = f"; and {len(found) - MOST} more pairs" if len(found) > MOST else ""
+    return (
+        f"The {what} scores differ significantly, after Holm’s correction, where the iterations do"
+        f" not: {'; '.join(said)}{more}."
+    )
+
+
 def plane_sentences(
     configurations: Sequence[Outcomes],
     comparisons: Sequence[Comparison],
@@ -169,7 +183,9 @@ def _fastest(
         return f"Only {name[only.name]} was run: {passes}. There is nothing to compare it to."
     passing = [c for c in configurations if c.converged.any()]
     if not passing:
-        return f"None of the {len(configurations)} configurations passed in any trial."
+        return (
+            f"None of the {len(configurations)} configurations {_did(configurations)} in any trial."
+        )
     if not comparisons:
         return (
             f"The {len(configurations)} configurations are not compared: they have different"
@@ -190,7 +206,8 @@ def _fastest(
     sign = 1.0 if margin.a == best.name else -1.0
     low, high = sorted(-sign * x for x in (margin.difference.low, margin.difference.high))
     return (
-        f"{_capital(name[best.name])} converges fastest of {len(configurations)} configurations:"
+        f"{_capital(name[best.name])} {'learns' if best.measure == 'learned' else 'converges'}"
+        f" fastest of {len(configurations)} configurations:"
         f" it needs {best.durations.mean():.0f} iterations on average (restricted to the cap of"
         f" {best.cap}), {-sign * margin.difference.value:.0f} fewer than the next,"
         f" {name[second.name]} ({100 * LEVEL:g} % interval {low:.0f} to {high:.0f}), and"
@@ -202,7 +219,7 @@ def _differences(
     configurations: Sequence[Outcomes], comparisons: Sequence[Comparison], name: Mapping[str, str]
 ) -> str:
     failing = [name[c.name] for c in configurations if not c.converged.any()]
-    never = f"{_list(failing)} never passed" if failing else ""
+    never = f"{_list(failing)} never {_did(configurations)}" if failing else ""
     if not comparisons:
         return f"No differences were tested{f', and {never}' if never else ''}."
     real = [c for c in comparisons if c.winner is not None]
@@ -229,7 +246,12 @@ def _passes(c: Outcomes) -> str:
         return "it has no trials"
     rate = pass_rate(k, n)
     bounds = f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %"
-    return f"it passes in {k} of {n} trials ({100 * LEVEL:g} % interval {bounds})"
+    verb = "learns" if c.measure == "learned" else "passes"
+    return f"it {verb} in {k} of {n} trials ({100 * LEVEL:g} % interval {bounds})"
+
+
+def _did(configurations: Sequence[Outcomes]) -> str:
+    return "learned" if configurations[0].measure == "learned" else "passed"
 
 
 def _identical(c: Comparison) -> bool:

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 STATUSES = ("converged", "capped", "diverged")
+MEASURES = ("passed", "learned")
+CUT_OFF = 0.1
+"""The largest share of trials stopped by the other rule of which a measure can be judged."""
+PER_TRIAL = (
+    "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
+    "passed", "iterations_to_pass", "frames_to_pass",
+    "learned", "iterations_to_learn", "frames_to_learn", "learned_score",
+)  # fmt: skip
+"""The fields of ``Outcomes`` with one entry per trial; the last seven may be None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +29,10 @@ class Outcomes:
     ``iterations``. A trial with status ``diverged`` never converges, so it counts as censored at
     the cap, regardless of the iteration in which it stopped.
 
+    What stopped a trial (``converged``) depends on ``stop_on``. What it did while it explored
+    (``passed``) and what it learned (``learned``) are recorded beside it; :func:`judged` turns one
+    of the two into ``converged``.
+
     Attributes:
         name: the name of the job folder, unique within a sweep.
         experiment: the sweep it belongs to (``thesis``, ``epsilon_grid``, ...).
@@ -27,17 +40,29 @@ class Outcomes:
         parameters: the parameters of the strategy (``{"epsilon": 0.3}``).
         config: the whole resolved configuration of the job.
         cap: ``max_iterations`` [iterations].
-        threshold: the final score above which a trial has converged.
+        threshold: the score above which a trial has passed, or learned.
         window: the number of episodes that the final score averages over.
         trial: trial index, int64.
         seed: seed of the job, int64.
         iterations: number of iterations until the trial stopped, int64.
-        converged: bool.
+        converged: whether the stopping rule was met, bool.
         score: final score, float64.
         frames: environment steps until the trial stopped, int64.
         seconds: wall time from the start of the trial's batch until it stopped, float64.
-        status: ``converged``, ``capped`` or ``diverged``.
-
+        status: ``converged``, ``capped`` or ``diverged``; in the result of :func:`judged` also
+            ``stopped``, by the rule of the other measure.
+        passed: whether the mean of a full window of training scores ever exceeded the threshold,
+            bool; None: unknown.
+        iterations_to_pass: iterations until then, or all that were trained, int64 or None.
+        frames_to_pass: training frames until then, or all, int64 or None.
+        learned: whether the trial has learned (see ``statistics.learning``), bool; None: the job
+            has no evaluations.
+        iterations_to_learn: the iteration of the evaluation at which it had learned (0: before its
+            first update), or of the last one, int64 or None.
+        frames_to_learn: training frames until then, int64 or None.
+        learned_score: mean score of the final policy without the strategy, on episodes of its own,
+            float64 or None.
+        measure: ``passed`` or ``learned`` if :func:`judged` made these outcomes, else empty.
     """
 
     name: str
@@ -57,6 +82,24 @@ class Outcomes:
     seconds: NDArray[np.float64]
     status: NDArray[np.str_]
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    passed: NDArray[np.bool_] | None = None
+    iterations_to_pass: NDArray[np.int64] | None = None
+    frames_to_pass: NDArray[np.int64] | None = None
+    learned: NDArray[np.bool_] | None = None
+    iterations_to_learn: NDArray[np.int64] | None = None
+    frames_to_learn: NDArray[np.int64] | None = None
+    learned_score: NDArray[np.float64] | None = None
+    measure: str = ""
+
+    def __post_init__(self) -> None:
+        # Files without these columns: with stop_on=training, a trial stopped when it passed.
+        if self.passed is None and self.config.get("stop_on", "training") == "training":
+            for name, value in (
+                ("passed", self.converged),
+                ("iterations_to_pass", self.iterations),
+                ("frames_to_pass", self.frames),
+            ):
+                object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         return len(self.trial)
@@ -69,10 +112,12 @@ class Outcomes:
     @property
     def judged_by(self) -> str:
         """The scores that decide convergence: ``training``, or a description of the evaluations."""
-        if self.config.get("stop_on", "training") == "training":
+        rule = self.measure or self.config.get("stop_on", "training")
+        if rule in ("training", "passed"):
             return "training"
         every, count = self.config.get("evaluate_every"), self.config.get("evaluate_episodes", 1)
-        return f"{self.config['stop_on']} ({count} every {every} iterations)"
+        rhythm = f"{count} every {every} iterations" if isinstance(every, int) else f"{count} each"
+        return f"{rule} ({rhythm})"
 
     @property
     def cut_short(self) -> bool:
@@ -81,6 +126,63 @@ class Outcomes:
         if self.judged_by != "training" or not isinstance(per_update, int):
             return False
         return self.cap * per_update < self.window
+
+
+def judged(outcomes: Outcomes, measure: str) -> Outcomes:
+    """The outcomes with ``converged``, ``iterations``, ``frames`` and ``score`` of one measure.
+
+    With ``passed`` a trial is judged by its training scores, with ``learned`` by what its policy
+    scores without the strategy. Every statistic of the package then applies to the measure.
+
+    A trial for which the event was not seen is right-censored: at the cap if it was trained to the
+    cap or diverged. A trial that the rule of the *other* measure stopped earlier has status
+    ``stopped`` and is censored where it stopped. Such censoring depends on how well the trial does,
+    so the Kaplan-Meier curve, the restricted mean and the paired tests, which take a censored time
+    as it is, are only approximate then. Few such trials do not matter; above a share of
+    ``CUT_OFF`` this is an error. With ``stop_on=both`` or ``never`` there is none.
+
+    A trial that had learned before its first update counts with 1 iteration, because durations are
+    positive. Seconds are those until the trial stopped.
+
+    Args:
+        outcomes: one configuration, as read from its files.
+        measure: ``passed`` or ``learned``.
+
+    Raises:
+        ValueError: another measure; a job without evaluations; too many trials stopped by the
+            other rule.
+    """
+    if measure not in MEASURES:
+        raise ValueError(f"measure={measure!r}: {' or '.join(MEASURES)} is possible")
+    if measure == "passed":
+        event, iterations, frames = (
+            outcomes.passed, outcomes.iterations_to_pass, outcomes.frames_to_pass,
+        )  # fmt: skip
+        score, missing = outcomes.score, "does not record which trials passed"
+    else:
+        event, iterations, frames = (
+            outcomes.learned, outcomes.iterations_to_learn, outcomes.frames_to_learn,
+        )  # fmt: skip
+        score, missing = outcomes.learned_score, "has no evaluations (evaluate_every=auto)"
+    if event is None or iterations is None or frames is None or score is None:
+        raise ValueError(f"{outcomes.name} {missing}: what was {measure} is unknown")
+    diverged = (outcomes.status == "diverged") & ~event
+    stopped = ~event & ~diverged & (outcomes.iterations < outcomes.cap)
+    if len(outcomes) and stopped.mean() > CUT_OFF:
+        raise ValueError(
+            f"{outcomes.name}: {stopped.sum()} of {len(outcomes)} trials had stopped before it was"
+            f" known when they {measure}; stop_on=both or never trains them further"
+        )
+    status = np.select([event, diverged, stopped], ["converged", "diverged", "stopped"], "capped")
+    return replace(
+        outcomes,
+        converged=event,
+        iterations=np.where(event, np.maximum(iterations, 1), outcomes.iterations),
+        frames=np.where(event, np.maximum(frames, 1), outcomes.frames),
+        score=score,
+        status=status,
+        measure=measure,
+    )
 
 
 def convergence_times(
@@ -114,7 +216,8 @@ def convergence_times(
         raise ValueError(f"{outcomes.name}: a configuration without trials")
     converged = np.asarray(outcomes.converged, dtype=bool)
     durations = outcomes.durations.astype(np.float64)
-    wrong = np.where(converged, durations > outcomes.cap, durations != outcomes.cap)
+    whole = (durations == outcomes.cap) | (outcomes.status == "stopped")
+    wrong = np.where(converged, durations > outcomes.cap, ~whole)
     if wrong.any():
         i = int(np.argmax(wrong))
         how = "converged" if converged[i] else "stopped unconverged"

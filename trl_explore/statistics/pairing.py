@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.outcomes import PER_TRIAL, Outcomes
 
 # The groups of a configuration that define an agent. The machine, the collector, the number of
 # trials and the stopping rule do not.
@@ -27,7 +27,6 @@ AGENT_GROUPS = (
 # Keys of an environment that do not define the agent: its default stopping rule, and the number
 # of processes.
 NO_AGENT = ("score_threshold", "score_window", "max_iterations", "workers")
-PER_TRIAL = ("trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status")
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,8 @@ def deduplicate(jobs: Sequence[Outcomes]) -> list[Outcomes]:
 
 def select(outcomes: Outcomes, index: NDArray[Any]) -> Outcomes:
     """Keep the trials at ``index``, a boolean mask [n_trials] or positions."""
-    return replace(outcomes, **{name: getattr(outcomes, name)[index] for name in PER_TRIAL})
+    columns = {name: getattr(outcomes, name) for name in PER_TRIAL}
+    return replace(outcomes, **{name: x if x is None else x[index] for name, x in columns.items()})
 
 
 def pool(jobs: Sequence[Outcomes]) -> Outcomes:
@@ -145,8 +145,14 @@ def pool(jobs: Sequence[Outcomes]) -> Outcomes:
     refuse_shared(jobs)
     if len(jobs) == 1:
         return first
-    columns = {c: np.concatenate([getattr(job, c) for job in jobs]) for c in PER_TRIAL}
-    return replace(first, **columns)
+    columns = {name: [getattr(job, name) for job in jobs] for name in PER_TRIAL}
+    return replace(
+        first,
+        **{
+            name: None if any(x is None for x in parts) else np.concatenate(parts)
+            for name, parts in columns.items()
+        },
+    )
 
 
 def check_comparable(a: Outcomes, b: Outcomes) -> None:

@@ -225,6 +225,3 @@ CLAIMS = (
     ),
 )
 """Statements about the cause, which the thesis does not make."""
-
-BIAS = ("why.epsilon_greedy_mostly_bias", "why.decaying_mostly_bias")
-"""The statements on how much of a difference the bias of the gradient explains."""

@@ -6,7 +6,8 @@ float64, observations, logits and probabilities in float32, the inverse CDF in f
 Episodes of many trials are stepped side by side, each in a SIMD lane. All that a step reads and
 writes is on the stack, with the lane as the last dimension, so that a loop over lanes becomes
 vector instructions if kernel, policy and strategy neither branch nor call. Frames are written to
-the group's scratch; whole episodes are copied from there to the data, in order of trials.
+the group's scratch; whole episodes are copied from there to the data, in order of trials. A loop
+without records keeps no frames, only the outcome of each episode.
 """
 
 # numba rewrites signatures:
@@ -21,8 +22,8 @@ from typing import Any
 import numba as nb
 import numpy as np
 
+from trl_explore.collectors import mixing, networks
 from trl_explore.collectors.fused import lanes as lanes_module
-from trl_explore.collectors.fused import mixing, networks
 from trl_explore.collectors.fused import scratch as scratch_module
 from trl_explore.collectors.fused.lanes import (  # fmt: skip
     ACTION,
@@ -38,9 +39,15 @@ from trl_explore.collectors.fused.lanes import (  # fmt: skip
     part,
     retire,
 )
-from trl_explore.collectors.fused.mixing import compile_mixing, load_point
-from trl_explore.collectors.fused.networks import Network, compile_network
-from trl_explore.collectors.fused.scratch import Scratch, compile_deliver, is_narrow, row_of
+from trl_explore.collectors.fused.scratch import (
+    Scratch,
+    compile_deliver,
+    is_narrow,
+    only_row_of,
+    row_of,
+)
+from trl_explore.collectors.mixing import compile_mixing, load_point
+from trl_explore.collectors.networks import Network, compile_network
 from trl_explore.envs.kernels import Kernel
 from trl_explore.numerics.compiled import arrays, elementary, layers, philox
 from trl_explore.numerics.compiled.arrays import borrow, lane, on_stack
@@ -55,7 +62,7 @@ INLINED = (
 
 
 def compile_loop(
-    kernel: Kernel, network: Network, masked: bool = False
+    kernel: Kernel, network: Network, masked: bool = False, *, records: bool = True
 ) -> Callable[..., tuple[int, int]]:
     """The episode loop for a kernel and a policy; compiled on the first call, or read from disk.
 
@@ -81,23 +88,33 @@ def compile_loop(
         kernel: the environment.
         network: the policy.
         masked: whether to apply the kernel's action masks and write them to the columns.
+        records: whether to write the frames; if not, ``columns`` and ``place`` are unused.
     """
     functions = (kernel.reset, kernel.step, kernel.observe, kernel.mask if masked else None)
-    return _compile(*functions, kernel.state_size, network, kernel.digest)
+    return _compile(*functions, kernel.state_size, network, kernel.digest, records)
 
 
 @lru_cache(maxsize=32)
 def _compile(  # noqa: C901 - the parts of one compiled function
-    reset: Any, step: Any, observe: Any, mask: Any, state_size: int, network: Network, digest: str
+    reset: Any,
+    step: Any,
+    observe: Any,
+    mask: Any,
+    state_size: int,
+    network: Network,
+    digest: str,
+    records: bool,
 ) -> Callable[..., tuple[int, int]]:
     n_features, n_actions = network.sizes[0], network.sizes[-1]
     narrow = is_narrow(network, mask is not None)
-    x_of = _x_of_lane if narrow else _compile_x(n_features)
+    row = row_of if records else only_row_of
+    x_of = _x_of_lane if narrow else _compile_x(n_features, row)
     record = 4 + n_features if narrow else 4
-    deliver = compile_deliver(record, narrow, n_features, n_actions if mask is not None else 0)
+    n_masks = n_actions if mask is not None else 0
+    deliver = compile_deliver(record, narrow, n_features, n_masks) if records else _no_delivery
     load, logits = compile_network(network)
     mix, draw, first_largest = compile_mixing(n_actions)
-    legal = _nothing if mask is None else _compile_mask(mask, n_actions)
+    legal = _nothing if mask is None else _compile_mask(mask, n_actions, row)
     f32, f64, u64 = nb.float32, nb.float64, nb.uint64
     state_lanes, rng_lanes = on_stack(f64, state_size, LANES), on_stack(u64, STATE_SIZE, LANES)
     noise_lanes, point_lanes = on_stack(f64, 4, LANES), on_stack(f32, 4, LANES)
@@ -105,7 +122,7 @@ def _compile(  # noqa: C901 - the parts of one compiled function
     x_lanes = on_stack(f32, n_features if narrow else 1, LANES)
     probs_lanes, work_lanes = on_stack(f32, n_actions, LANES), on_stack(f32, n_actions, LANES)
     place_lanes, value_lanes = on_stack(nb.int64, 6, LANES), on_stack(f32, 3, LANES)
-    over_lanes = on_stack(nb.boolean, LANES)
+    score_lanes, over_lanes = on_stack(f64, LANES), on_stack(nb.boolean, LANES)
 
     @part
     def begin_episode(j, slot, row, max_steps, parameters, weights, mixture, scratch, lanes):
@@ -113,7 +130,8 @@ def _compile(  # noqa: C901 - the parts of one compiled function
         reset(parameters, lane(lanes.state, j), lane(lanes.rng, j))
         load(weights, row, lane(lanes.local, j), scratch.own, lanes.place[WEIGHT_SLOT, j])
         load_point(mixture, row if mixture.shape[1] > 1 else 0, lane(lanes.point, j))
-        lanes.place[SLOT, j], lanes.place[ROW, j], lanes.value[1, j] = slot, row, 0
+        lanes.place[SLOT, j], lanes.place[ROW, j] = slot, row
+        lanes.value[1, j], lanes.score[j] = 0, 0
         lanes.place[FRAME, j], lanes.place[END, j] = slot * max_steps, (slot + 1) * max_steps
 
     @part
@@ -151,6 +169,7 @@ def _compile(  # noqa: C901 - the parts of one compiled function
             )
             lanes.value[0, j] = reward
             lanes.value[1, j] += lanes.value[0, j]
+            lanes.score[j] += reward
             lanes.over[j] = terminal
         for j in range(left):
             count += lanes.over[j] | (lanes.place[FRAME, j] + 1 == lanes.place[END, j])
@@ -159,15 +178,16 @@ def _compile(  # noqa: C901 - the parts of one compiled function
     @part
     def keep(left, scratch, lanes):
         """Write the frame of every lane to the scratch of its episode."""
-        frames = borrow(scratch.frames)
-        for j in range(left):
-            start = lanes.place[FRAME, j] * record
-            frame = frames[start : start + record]
-            for k in range(3):
-                frame[k] = lanes.value[k, j]
-            frame[3] = lanes.place[ACTION, j]  # float32 is exact up to 2^24
-            for k in range(4, record):
-                frame[k] = lanes.x[k - 4, j]
+        if records:
+            frames = borrow(scratch.frames)
+            for j in range(left):
+                start = lanes.place[FRAME, j] * record
+                frame = frames[start : start + record]
+                for k in range(3):
+                    frame[k] = lanes.value[k, j]
+                frame[3] = lanes.place[ACTION, j]  # float32 is exact up to 2^24
+                for k in range(4, record):
+                    frame[k] = lanes.x[k - 4, j]
         for j in range(left):
             lanes.place[FRAME, j] += 1
 
@@ -180,7 +200,7 @@ def _compile(  # noqa: C901 - the parts of one compiled function
         scratch = Scratch(*arrays)
         lanes = Lanes(
             state_lanes(), rng_lanes(), noise_lanes(), point_lanes(), local_lanes(), x_lanes(),
-            probs_lanes(), work_lanes(), place_lanes(), value_lanes(), over_lanes(),
+            probs_lanes(), work_lanes(), place_lanes(), value_lanes(), score_lanes(), over_lanes(),
         )  # fmt: skip
         clear(lanes)
         while done < len(trials):
@@ -198,26 +218,26 @@ def _compile(  # noqa: C901 - the parts of one compiled function
                         )  # fmt: skip
                         left += 1
                         begun += 1
-                    draw_noise(left, max_steps, numbers, first_trial, action_key, lanes)
+                    if records or explore:
+                        draw_noise(left, max_steps, numbers, first_trial, action_key, lanes)
                 act(t, left, parameters, weights, explore, scratch, lanes)
                 count = advance(left, parameters, lanes)
                 keep(left, scratch, lanes)
                 if count > 0:
                     left = retire(left, max_steps, scratch, lanes)
                 t += 1
-            total = 0
-            for slot in range(n):
-                total += scratch.steps[slot]
-            if total > len(columns[0]) - place:
+            total = scratch.steps[:n].sum()
+            if records and total > len(columns[0]) - place:
                 return done, place
             for slot in range(n):
-                score[done] = deliver(scratch, columns, slot, max_steps, group[slot], place)
+                deliver(scratch, columns, slot, max_steps, group[slot], place)
+                score[done] = scratch.score[slot]
                 length[done] = scratch.steps[slot]
                 place += scratch.steps[slot]
                 done += 1
         return done, place
 
-    return compiled(*INLINED, key=(state_size, network, mask is not None, digest))(loop)
+    return compiled(*INLINED, key=(state_size, network, mask is not None, digest, records))(loop)
 
 
 @part
@@ -226,27 +246,32 @@ def _x_of_lane(scratch, lanes, j):
     return lane(lanes.x, j)
 
 
-def _compile_x(n_features: int) -> Any:
+def _compile_x(n_features: int, row: Any) -> Any:
     """The function that gives the place of lane j's observation if it is not narrow."""
 
     @part
     def x_in_scratch(scratch, lanes, j):
-        return row_of(scratch.observation, lanes, j, n_features)
+        return row(scratch.observation, lanes, j, n_features)
 
     return x_in_scratch
 
 
-def _compile_mask(mask: Any, n_actions: int) -> Any:
+def _compile_mask(mask: Any, n_actions: int, row: Any) -> Any:
     """The function that sets the logits of illegal actions to −∞."""
 
     @kernel_function
     def legal(parameters, state, scratch, lanes, j, logits):
-        allowed = row_of(scratch.allowed, lanes, j, n_actions)
+        allowed = row(scratch.allowed, lanes, j, n_actions)
         mask(parameters, state, allowed)
         for a in range(n_actions):
             logits[a] = logits[a] if allowed[a] else -np.inf
 
     return legal
+
+
+@kernel_function
+def _no_delivery(scratch, columns, slot, max_steps, row, start):
+    """No frames are kept."""
 
 
 @kernel_function

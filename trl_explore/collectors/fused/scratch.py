@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.collectors.fused.lanes import FRAME, LANES
-from trl_explore.collectors.fused.networks import Network
+from trl_explore.collectors.networks import Network
 from trl_explore.envs.kernels import Kernel
 from trl_explore.numerics.compiled.arrays import borrow
 from trl_explore.numerics.compiled.cache import kernel_function
 from trl_explore.numerics.compiled.elementary import log32
 
 GROUP = 2 * LANES
+UNRECORDED = 1 << 12
+"""The number of episodes in a group without records, which only needs memory for outcomes."""
 """The number of episodes that run in the SIMD lanes before they are copied to the data."""
 NARROW = 8
 """An observation of at most this many features is kept in the SIMD lanes."""
@@ -39,13 +41,21 @@ class Scratch(NamedTuple):
     """The number of frames [slots]."""
     ended: NDArray[np.bool_]
     """Whether the last frame terminated the episode [slots]."""
+    score: NDArray[np.float64]
+    """The sum of the rewards, in double [slots]."""
     own: Any
     """``own`` and ``hidden`` of ``Network.memory``, with one weight slot per SIMD lane."""
     hidden: NDArray[np.float32]
 
 
 def scratch(
-    kernel: Kernel, network: Network, max_steps: int, masked: bool, episodes: int = GROUP
+    kernel: Kernel,
+    network: Network,
+    max_steps: int,
+    masked: bool,
+    episodes: int = GROUP,
+    *,
+    records: bool = True,
 ) -> tuple[tuple[Any, ...], int, int]:
     """The fields of a ``Scratch`` for at most ``episodes``, the number of lanes and ``max_steps``.
 
@@ -56,14 +66,17 @@ def scratch(
     slots = max(1, min(GROUP, SCRATCH_BYTES // (max_steps * per_frame), episodes))
     lanes = min(LANES, slots, network.group())
     n = slots * max_steps
+    if not records:  # one observation and one mask per lane
+        slots, n = UNRECORDED, lanes
     narrow = is_narrow(network, masked)
     own, hidden = network.memory(lanes)
     memory = Scratch(
-        np.empty(n * (4 + narrow * kernel.n_features), dtype=np.float32),
+        np.empty(records * n * (4 + narrow * kernel.n_features), dtype=np.float32),
         np.empty(n * (not narrow) * kernel.n_features, dtype=np.float32),
         np.empty(n * n_masks, dtype=np.bool_),
         np.empty(slots, dtype=np.int64),
         np.empty(slots, dtype=np.bool_),
+        np.empty(slots, dtype=np.float64),
         own,
         hidden,
     )
@@ -82,10 +95,16 @@ def row_of(frames, lanes, j, size):
     return borrow(frames)[start : start + size]
 
 
+@kernel_function
+def only_row_of(frames, lanes, j, size):
+    """The only frame of lane j that a loop without records keeps."""
+    return borrow(frames)[j * size : (j + 1) * size]
+
+
 def compile_deliver(record: int, narrow: bool, n_features: int, n_masks: int) -> Any:
     """The function that copies the episode in a slot to the data, from frame ``start`` on.
 
-    It returns the episode's score. Separate loops over the columns become vector instructions.
+    Separate loops over the columns become vector instructions.
     """
 
     @kernel_function
@@ -122,7 +141,6 @@ def compile_deliver(record: int, narrow: bool, n_features: int, n_masks: int) ->
         done[end - 1] = True
         terminated[end - 1] = scratch.ended[slot]
         truncated[end - 1] = n == max_steps
-        return total[n - 1]
 
     return deliver
 

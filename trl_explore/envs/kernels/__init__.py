@@ -27,7 +27,7 @@ The contract of the functions:
   a library, the loop over them is vectorised and several times faster (``a if c else b`` of two
   numbers is not a branch; for |x| <= 0.85 use ``elementary.cos_sin``).
 * The builder may reject an instance with ``LookupError("reason")``; ``collector=auto`` then uses
-  the TorchRL collector.
+  the stepping collector.
 """
 
 from trl_explore.envs.kernels import (

@@ -1,5 +1,6 @@
 """Off-policy corrections: policy gradients from data collected with μ."""
 
+from trl_explore.objectives.corrections.as_if import AsIf
 from trl_explore.objectives.corrections.behaviour import Behaviour, BehaviourActor
 from trl_explore.objectives.corrections.correction import (
     ImportanceWeights,
@@ -11,6 +12,7 @@ from trl_explore.objectives.corrections.importance import PerDecision, PerStep, 
 Correction = NoCorrection
 
 __all__ = [
+    "AsIf",
     "Behaviour",
     "BehaviourActor",
     "Correction",

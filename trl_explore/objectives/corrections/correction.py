@@ -5,13 +5,18 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+from tensordict.nn import ProbabilisticTensorDictSequential
 from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
 from trl_explore.checks import check_flag, check_number, settle
 from trl_explore.numerics.score import lane_sum
 from trl_explore.objectives.episodes import Episodes
+from trl_explore.policies.actor import frame_log_prob
 from trl_explore.strategies import BaseStrategy
 
 
@@ -50,6 +55,29 @@ class NoCorrection:
         """
         return actor
 
+    def take(self, rows: slice, trials: int) -> None:
+        """Keep only some of the trials in per-trial parameters; the arguments are a strategy's."""
+
+    def on_policy(self, strategy: BaseStrategy) -> bool | NDArray[np.bool_]:
+        """Whether every ratio is 1 by construction in this iteration; one value, or one per trial.
+
+        Args:
+            strategy: the strategy that collects the data.
+        """
+        return strategy.on_policy()
+
+    def log_numerator(
+        self, actor: ProbabilisticTensorDictSequential, frames: TensorDictBase, action: Tensor
+    ) -> Tensor:
+        """The logarithm of the numerator of the ratios: log π(a_t|s_t) [frames].
+
+        Args:
+            actor: π, with the present parameters.
+            frames: the data [frames].
+            action: a_t [frames, ...].
+        """
+        return frame_log_prob(actor, frames, action)
+
     def advantage(
         self, episodes: Episodes, baseline: Tensor | float, log_ratio: Tensor | None
     ) -> Tensor:
@@ -58,7 +86,8 @@ class NoCorrection:
         Args:
             episodes: the data.
             baseline: b_t [frames], or one number.
-            log_ratio: log π(a_t|s_t) − log μ(a_t|s_t) [frames]; None if not needed.
+            log_ratio: log π(a_t|s_t) − log μ(a_t|s_t) [frames], or with another numerator; None
+                if not needed.
         """
         if isinstance(baseline, float) and baseline == 0:
             return episodes.returns
@@ -129,12 +158,14 @@ def shares(log_weight: Tensor, group: Tensor, groups: int) -> Tensor:
     return weight / mean.clamp(min=torch.finfo(mean.dtype).tiny)[group]
 
 
-def log_ratio_of(log_prob: Tensor, behaviour: Tensor) -> Tensor:
-    """Log π − log μ of every frame [frames], in double, because products of ratios are long.
+def log_ratio_of(numerator: Tensor, behaviour: Tensor) -> Tensor:
+    """The logarithm of a numerator, such as π, over μ, for every frame [frames].
+
+    In double, because products of ratios are long.
 
     Raises:
         ValueError: if an action in the data has probability 0 under μ.
     """
     if bool((behaviour == -torch.inf).any()):
         raise ValueError("an action in the data has probability 0 under the behaviour policy")
-    return log_prob.double() - behaviour.double()
+    return numerator.double() - behaviour.double()

@@ -5,11 +5,13 @@ A new figure is one file and one line in ``KINDS``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from trl_explore.report.decomposition import Decomposition
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import (
+    acting,
     effects,
     epsilon_decay,
     first_reward,
@@ -33,6 +35,8 @@ KINDS: tuple[Kind, ...] = (
     effects.EFFECTS,
     survival.PANELS,
     survival.SURVIVAL,
+    survival.LEARNED_PANELS,
+    survival.LEARNED,
     trials.SCORE,
     trials.ITERATIONS,
     trials.SECONDS,
@@ -52,16 +56,23 @@ KINDS: tuple[Kind, ...] = (
 
 
 @dataclass(frozen=True)
-class Drawn:
+class Picture:
     """A figure of the report; ``thesis`` is the number of the same figure there, if it exists."""
 
     id: str
-    kind: Kind
+    title: str
     caption: str
     alt: str
-    thesis: str | None
     svg: str
     png: bytes
+    thesis: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawn(Picture):
+    """A figure of a group."""
+
+    kind: Kind
 
 
 def draw_all(evidence: GroupEvidence) -> Iterator[Drawn]:
@@ -78,6 +89,7 @@ def draw_all(evidence: GroupEvidence) -> Iterator[Drawn]:
         number = f"{thesis}-" if thesis else ""
         yield Drawn(
             id=f"{group.id}-{number.replace('.', '_')}{kind.name}",
+            title=kind.title,
             kind=kind,
             caption=caption,
             alt=f"{kind.title}, {group.title}. {caption}",
@@ -85,3 +97,16 @@ def draw_all(evidence: GroupEvidence) -> Iterator[Drawn]:
             svg=svg,
             png=png,
         )
+
+
+def draw_why(found: Sequence[Decomposition]) -> Iterator[Picture]:
+    """One figure for every environment in which the parts of a difference are known."""
+    for k, environment in enumerate(dict.fromkeys(d.environment for d in found)):
+        here = [d for d in found if d.environment == environment]
+        if not acting.rows_of(here):
+            continue
+        with visual_language():
+            figure = acting.draw_acting(here)
+            svg, png = to_svg(figure), to_png(figure)
+        caption, title = acting.caption_of(here), acting.TITLE
+        yield Picture(f"why-acting-{k + 1}", title, caption, f"{title}. {caption}", svg, png)

@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures.axes import legend_above, new_figure, plain_numbers, wrapped
 from trl_explore.report.figures.kind import Kind
+from trl_explore.report.numbers import negated
 from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style
 from trl_explore.statistics.comparisons import Comparison
 from trl_explore.statistics.estimates import LEVEL, Estimate
@@ -72,7 +73,7 @@ def oriented(comparison: Comparison) -> tuple[str, str, Estimate]:
     e = comparison.difference
     if e.value > 0:
         return comparison.b, comparison.a, e
-    return comparison.a, comparison.b, Estimate(-e.value, -e.high, -e.low, e.level)
+    return comparison.a, comparison.b, negated(e)
 
 
 def _shown(e: GroupEvidence) -> list[Comparison]:

@@ -18,7 +18,16 @@ from trl_explore.report.figures.axes import (
     spans_much,
     wrapped,
 )
-from trl_explore.report.figures.kind import Kind, crossed, passed, plain, trials, whole_study
+from trl_explore.report.figures.kind import (
+    Kind,
+    by,
+    crossed,
+    each,
+    passed,
+    plain,
+    trials,
+    whole_study,
+)
 from trl_explore.report.figures.panels import Panel, draw_panels, panels_of
 from trl_explore.report.style import INK, MUTED, Style
 from trl_explore.statistics.estimates import LEVEL
@@ -107,7 +116,7 @@ def draw_survival(e: GroupEvidence, unit: str) -> Figure:
     figure = new_figure(3.1 + below)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.6, below])
     upper.tick_params(labelbottom=True)
-    plot_survival(upper, rows, time=unit)
+    plot_survival(upper, rows, time=unit, title=_quantity(e))
     low, high = upper.get_xlim()
     plot_numbers_at_risk(lower, rows, [t for t in upper.get_xticks() if low <= t <= high])
     return figure
@@ -133,7 +142,12 @@ def _draw_panels(e: GroupEvidence) -> Figure:
         rows = _rows(e, panel.names, "iterations")
         plot_survival(ax, rows, time="", title=panel.title, horizon=end)
 
-    return draw_panels(e.group, draw, panels_of(e.group), "iterations", "trials not yet converged")
+    return draw_panels(e.group, draw, panels_of(e.group), "iterations", _quantity(e))
+
+
+def _quantity(e: GroupEvidence) -> str:
+    learned = e.group.configurations[0].measure == "learned"
+    return "trials that have not learned" if learned else "trials not yet converged"
 
 
 def _caption(e: GroupEvidence) -> str:
@@ -173,6 +187,40 @@ SURVIVAL = Kind(
 )
 PANELS = Kind(
     "survival-panels", "How many trials are still learning", crossed, _draw_panels, _panels_caption
+)
+
+
+def _learned(e: GroupEvidence) -> GroupEvidence:
+    assert e.learned is not None
+    return e.learned
+
+
+def _learned_caption(e: GroupEvidence) -> str:
+    e = _learned(e)
+    learned = each(e, lambda c: f"{int(c.converged.sum())} of {len(c)}")
+    return (
+        "The same trials, judged by what they have learned: the policy is played without"
+        f" exploration. Share of trials that have not learned (Kaplan–Meier). Learned{by(e)}:"
+        f" {learned}."
+    )
+
+
+LEARNED = Kind(
+    "survival-learned",
+    "How many trials have not learned",
+    lambda e: plain(e) and e.learned is not None,
+    lambda e: draw_survival(_learned(e), "iterations"),
+    _learned_caption,
+)
+LEARNED_PANELS = Kind(
+    "survival-learned-panels",
+    "How many trials have not learned",
+    lambda e: crossed(e) and e.learned is not None,
+    lambda e: _draw_panels(_learned(e)),
+    lambda e: (
+        "The same trials, judged by what they have learned: the policy is played without"
+        f" exploration. Bands: {100 * LEVEL:g} % intervals."
+    ),
 )
 FRAMES = Kind(
     "survival-frames",
