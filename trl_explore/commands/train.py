@@ -182,6 +182,7 @@ def train_from(
                     evaluations=shards.evaluations(),
                     learned=shards.learned(),
                     diagnostics=shards.diagnostics(),
+                    visits=shards.visits(),
                 )
     except BaseException:
         if interrupts.pending is not None:

@@ -140,6 +140,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.record import Trials
     from trl_explore.training.trainer import Trainer
+    from trl_explore.training.visits import Visits
 
     size = rows.stop - rows.start
     trials = _build(
@@ -184,7 +185,8 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
             logger.info(line)
     diagnostics = None
     if config.diagnostics:
-        diagnostics = Diagnostics(actor, strategy, size, policy.parameters())
+        visits = Visits(env, size)
+        diagnostics = Diagnostics(actor, strategy, size, policy.parameters(), visits)
     evaluator = _evaluator(config, env, policy, strategy, size, streams)
     intrinsic = _build(None, lambda: _intrinsic(config, env, policy, size, streams))
     return _build(

@@ -1,4 +1,4 @@
-"""Read and check the diagnostics and evaluations of a job."""
+"""Read and check the diagnostics, visits and evaluations of a job."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from trl_explore.jobs.columns import (
     EVALUATIONS,
     PURPOSE_COLUMNS,
     TRIALS,
+    VISITS,
     ResultsError,
     read_table,
 )
@@ -114,3 +115,29 @@ def read_evaluations(job: Path, purpose: str = "scheduled") -> dict[str, NDArray
         raise ResultsError(f"{where}: its episodes do not match {TRIALS}")
     chosen = kinds == PURPOSES.index(purpose)
     return {name: column[chosen] for name, column in columns.items()}
+
+
+def read_visits(job: Path) -> dict[str, NDArray[np.int64]] | None:
+    """Read where the trials of a job have been; None if it was not recorded.
+
+    Returns:
+        "iteration" [k], "visits" and "reached" [k, rows, columns]; see ``training.visits.joined``.
+
+    Raises:
+        ResultsError: if the file is truncated or invalid.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    where = job / VISITS
+    if not where.exists():
+        return None
+    try:
+        found = load(where.read_bytes())
+    except (SafetensorError, OSError, ValueError) as error:
+        raise ResultsError(f"{where}: not readable as safetensors ({error})") from None
+    shapes = [found[name].shape for name in ("visits", "reached") if name in found]
+    whole = len(shapes) == 2 and shapes[0] == shapes[1] and len(shapes[0]) == 3
+    if not whole or found.get("iteration", np.zeros(0)).shape != shapes[0][:1]:
+        raise ResultsError(f"{where}: does not hold iteration, visits and reached")
+    return found

@@ -31,6 +31,7 @@ from trl_explore.jobs.columns import (
     TIMINGS,
     TRIAL_COLUMNS,
     TRIALS,
+    VISITS,
     WEIGHTS,
     join_rows,
     named,
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
 
 def clear(job: Path) -> None:
     """Remove the results of a job, finished or unfinished, from its folder; ``run.json`` first."""
-    for name in (RUN, TRIALS, EPISODES, EVALUATIONS, WEIGHTS):
+    for name in (RUN, TRIALS, EPISODES, EVALUATIONS, WEIGHTS, VISITS):
         (job / name).unlink(missing_ok=True)
     for temporary in job.glob(".*.tmp"):
         if temporary.is_dir():
@@ -77,6 +78,7 @@ def write_job(
     evaluations: Mapping[str, NDArray[Any]] | None = None,
     learned: Mapping[str, NDArray[Any]] | None = None,
     diagnostics: Mapping[str, NDArray[Any]] | None = None,
+    visits: Mapping[str, NDArray[Any]] | None = None,
 ) -> None:
     """Write every file of a finished job.
 
@@ -93,6 +95,7 @@ def write_job(
         evaluations: the columns of ``evaluations.csv``; None: do not write it.
         learned: the columns ``LEARN_COLUMNS`` of ``trials.csv``; None: do not write them.
         diagnostics: further columns of ``episodes.csv``, one entry per iteration and active trial.
+        visits: the arrays of ``visits.safetensors``; None: do not write it.
     """
     import torch
 
@@ -105,6 +108,10 @@ def write_job(
         _write_text(job / EVALUATIONS, table_text(EVALUATION_COLUMNS | PURPOSE_COLUMNS, values))
     _write_scalars(job, trials)
     _write_weights(job / WEIGHTS, weights)
+    if visits is not None:
+        from safetensors.numpy import save
+
+        write_whole(job / VISITS, save({name: a.copy() for name, a in visits.items()}))
     run = {
         "status": "finished",
         "experiment": experiment,
@@ -127,7 +134,7 @@ def write_job(
 
 def _record(job: Path) -> dict[str, dict[str, Any]]:
     """The length in bytes and SHA-256 of every file of the job, for ``run.json``."""
-    names = (TRIALS, EPISODES, EVALUATIONS, WEIGHTS)
+    names = (TRIALS, EPISODES, EVALUATIONS, WEIGHTS, VISITS)
     paths = [job / name for name in names] + sorted((job / SCALARS).glob("*.csv"))
     return {
         path.relative_to(job).as_posix(): {"bytes": path.stat().st_size, "sha256": _digest(path)}

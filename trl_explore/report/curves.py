@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from trl_explore.jobs.columns import EPISODES, ResultsError
 from trl_explore.jobs.reading import read_curves, read_episodes
-from trl_explore.jobs.records import read_diagnostics, read_evaluations
+from trl_explore.jobs.records import read_diagnostics, read_evaluations, read_visits
 from trl_explore.report.groups import Group
 from trl_explore.report.loading import Gap, Job, gap
 from trl_explore.statistics.decomposition import curve_means, same_weights
@@ -50,6 +50,7 @@ class Traces:
         diagnostics: quantity -> its curves, median over trials with the middle half; only
             quantities that were recorded.
         evaluations: score in training and score of the greedy policy, means over trials.
+        visits: where the trials of the first job have been, see ``read_visits``.
         heights: mean heights of the curves of every trial.
         gaps: what could not be read.
 
@@ -58,6 +59,7 @@ class Traces:
     learning: dict[str, Curve] = field(default_factory=dict)
     diagnostics: dict[str, dict[str, Curve]] = field(default_factory=dict)
     evaluations: dict[str, tuple[Curve, Curve]] = field(default_factory=dict)
+    visits: dict[str, dict[str, NDArray[np.int64]]] = field(default_factory=dict)
     heights: dict[str, Heights] = field(default_factory=dict)
     gaps: list[Gap] = field(default_factory=list)
 
@@ -133,6 +135,8 @@ def read_traces(group: Group) -> Traces:
         parts = _Parts(end, group.window)
         for job in group.jobs[c.name]:
             parts.read(job)
+        if (visits := parts.visits(group.jobs[c.name][0])) is not None:
+            traces.visits[c.name] = visits
         traces.gaps.extend(parts.gaps)
         if (curve := parts.learning()) is not None:
             traces.learning[c.name] = curve
@@ -203,6 +207,14 @@ class _Parts:
             )
             if (found := _heights(job, played, _columns(episodes, "score"))) is not None:
                 self.heights.append(found)
+
+    def visits(self, job: Job) -> dict[str, NDArray[np.int64]] | None:
+        """Where the trials of a job have been; None if that was not recorded."""
+        try:
+            return read_visits(job.folder)
+        except ResultsError as error:
+            self.gaps.append(gap(job.folder, error))
+            return None
 
     def learning(self) -> Curve | None:
         """The learning curve, with a band if every job recorded its episodes."""

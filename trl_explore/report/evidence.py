@@ -167,7 +167,7 @@ def _measured(group: Group, traces: Traces) -> GroupEvidence:
 def _scores_said(
     group: Group, comparisons: Sequence[Comparison], scores: Sequence[Comparison]
 ) -> tuple[str, ...]:
-    if group.plane is not None:
+    if group.plane is not None or group.sized:
         return ()
     what = "learned" if group.configurations[0].measure == "learned" else "final"
     said = score_sentence(comparisons, scores, group.labels, what)

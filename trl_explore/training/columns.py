@@ -1,4 +1,4 @@
-"""The diagnostics: one entry for every quantity that training records.
+"""The diagnostics: one entry for every quantity that training records, and for every plane.
 
 ``Diagnostics`` computes them, ``episodes.csv`` has one column for each, the readers of results
 check their bounds, and the report draws them. This module imports nothing from the package.
@@ -103,3 +103,38 @@ DIAGNOSTICS: Mapping[str, Diagnostic] = {
 """In the order of the columns in the files."""
 
 DIAGNOSTIC_COLUMNS = tuple(DIAGNOSTICS)
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A feature of an observation, with its limits in a histogram.
+
+    Attributes:
+        index: its place in the observation.
+        label: quantity and unit.
+        low: the left or lower limit.
+        high: the right or upper limit.
+    """
+
+    index: int
+    label: str
+    low: float
+    high: float
+
+
+BINS = 32
+"""The cells of a histogram along each feature."""
+_CART = (Feature(0, "cart position", -2.4, 2.4), Feature(2, "pole angle, rad", -0.21, 0.21))
+_CAR = (Feature(0, "position", -1.2, 0.6), Feature(1, "velocity", -0.07, 0.07))
+_PENDULUM = (Feature(1, "sin θ (0: up or down)", -1, 1), Feature(0, "cos θ (1: up)", -1, 1))
+
+PLANES: Mapping[str, tuple[Feature, Feature]] = {
+    "CartPole-v1": _CART,
+    "MountainCar-v0": _CAR,
+    "trl_explore/SparseMountainCar-v0": _CAR,
+    "Acrobot-v1": (Feature(1, "sin θ₁", -1, 1), Feature(0, "cos θ₁ (1: down)", -1, 1)),
+    "Pendulum-v1": _PENDULUM,
+    "trl_explore/SwingUp-v0": _PENDULUM,
+    "LunarLander-v3": (Feature(0, "horizontal position", -1, 1), Feature(1, "height", -0.1, 1.5)),
+}
+"""Environment -> the two features, across and up, whose histogram shows where the trials were."""

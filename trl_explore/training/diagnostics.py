@@ -16,6 +16,7 @@ from trl_explore.objectives.episodes import Episodes
 from trl_explore.policies.actor import SoftmaxCategorical, frame_distribution
 from trl_explore.strategies import BaseStrategy, Strategy
 from trl_explore.training.columns import DIAGNOSTIC_COLUMNS as COLUMNS
+from trl_explore.training.visits import Visits
 
 CELL = 0.1
 """The width of the cells of a continuous observation, in its own units."""
@@ -50,6 +51,7 @@ class Diagnostics:
         strategy: the behaviour policy.
         trials: the number of trials.
         parameters: the policy's parameters, each with the trials as dimension 0.
+        visits: counts where the trials have been; None: not counted.
     """
 
     def __init__(
@@ -58,9 +60,10 @@ class Diagnostics:
         strategy: BaseStrategy,
         trials: int,
         parameters: Iterable[nn.Parameter],
+        visits: Visits | None = None,
     ) -> None:
         self.actor, self.strategy, self.trials = actor, strategy, trials
-        self.parameters = list(parameters)
+        self.parameters, self.visits = list(parameters), visits
         self.visited: list[set[bytes]] = [set() for _ in range(trials)]
         self._rows: list[NDArray[np.float32]] = []
 
@@ -72,6 +75,8 @@ class Diagnostics:
             data: the frames of the iteration.
             active: [trials] bool, the trials that have frames.
         """
+        if self.visits is not None:
+            self.visits.record(data)
         trial, done = data.get("trial"), data.get(("next", "done")).squeeze(-1)
         reward = data.get(("next", "reward")).squeeze(-1)
         episodes = Episodes(data, reward, done, trial, self.trials, 1.0)
@@ -164,16 +169,19 @@ class Diagnostics:
         return np.repeat(np.arange(1, len(counts) + 1), counts)
 
     def state_dict(self) -> dict[str, Any]:
-        """The visited cells; ``history`` has the rest."""
+        """The visited cells and the visits; ``history`` has the rest."""
         sizes = [len(cells) for cells in self.visited]
         cells = b"".join(cell for cells in self.visited for cell in sorted(cells))
         return {
             "cells": np.frombuffer(cells, dtype=np.int32).copy(),
             "sizes": np.array(sizes, dtype=np.int64),
+            "visits": None if self.visits is None else self.visits.state_dict(),
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore a ``state_dict``."""
+        if self.visits is not None:
+            self.visits.load_state_dict(state["visits"])
         sizes = np.asarray(state["sizes"])
         cells = np.asarray(state["cells"]).reshape(max(1, int(sizes.sum())), -1)
         parts = np.split(cells, np.cumsum(sizes)[:-1])

@@ -20,6 +20,7 @@ from torch import Tensor
 from trl_explore.numerics.compiled.cache import clock
 from trl_explore.training.record import Trials
 from trl_explore.training.trainer import Trainer
+from trl_explore.training.visits import joined
 
 LARGEST = 4096
 """Most trials in a shard: larger ones need more memory for the frames and are not faster."""
@@ -148,6 +149,11 @@ class Shards:
         """Every diagnostic, one entry per iteration and active trial; None if not recorded."""
         found = [t.diagnostics for t in self.trainers if t.diagnostics is not None]
         return _by_iteration([d.columns() for d in found], [d.iterations() for d in found])
+
+    def visits(self) -> dict[str, NDArray[np.int64]] | None:
+        """Where all trials have been (``visits.joined``); None if not recorded."""
+        found = [t.diagnostics.visits for t in self.trainers if t.diagnostics is not None]
+        return joined([visits for visits in found if visits is not None])
 
     def close(self) -> None:
         """Close the environments."""

@@ -1,30 +1,7 @@
 """Compiled dynamics of standard environments, each tested against gymnasium.
 
 To add an environment, write three functions and a builder, in any module that is imported before
-the collector is built. For a corridor with a slippery floor:
-
-    from trl_explore.envs.kernels import Kernel, kernel_function, random, register_kernel
-
-    @kernel_function
-    def reset(parameters, state, rng):
-        state[0] = int(3 * random(rng))
-
-    @kernel_function
-    def step(parameters, state, action, rng):
-        (length,) = parameters
-        slip = random(rng) < 0.2
-        state[0] = max(0.0, state[0] + (1 if (action == 1) != slip else -1))
-        return -1.0, state[0] >= length
-
-    @kernel_function
-    def observe(parameters, state, observation):
-        observation[0], observation[1] = state[0], 1
-
-    @register_kernel(Corridor)  # the class of the unwrapped environment
-    def corridor(env):
-        return Kernel(reset, step, observe, (env.length,), state_size=1, n_features=2, n_actions=2)
-
-    check_kernel(Corridor(length=9))  # compare with gymnasium, transition by transition
+the collector is built. docs/own_kernel.md shows it on an example; catch.py is a short one here.
 
 The contract of the functions:
 

@@ -22,6 +22,7 @@ from trl_explore.report.figures import (
     recorded,
     survival,
     trials,
+    visits,
 )
 from trl_explore.report.figures.kind import Kind
 from trl_explore.report.render import to_png, to_svg
@@ -49,6 +50,7 @@ KINDS: tuple[Kind, ...] = (
     power.POWER_OF_STUDY,
     *recorded.DIAGNOSTIC_KINDS,
     recorded.ENTROPY,
+    visits.VISITS,
 )
 """In the order in which a section shows them."""
 

@@ -1,0 +1,56 @@
+"""The maps of where the trials have been."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+
+from trl_explore.report import evidence
+from trl_explore.report.figures.visits import VISITS
+from trl_explore.report.loading import load
+from trl_explore.report.style import visual_language
+
+
+@pytest.fixture
+def job(tmp_path, make_job):
+    return make_job(tmp_path / "deep_sea", "softmax", [100, 120], env="FrozenLake-v1")
+
+
+def found(job):
+    return evidence.gather(load([job]), resamples=199)
+
+
+def test_a_map_per_iteration(job):
+    iteration = np.array([1, 2, 4, 8, 16, 20])
+    visits = np.zeros((6, 2, 3), dtype=np.int64)
+    visits[:, 0, 0] = 10 * iteration
+    visits[3:, 1, 2] = 30
+    arrays = {"iteration": iteration, "visits": visits, "reached": (visits > 0) * 2}
+    save_file(arrays, job / "visits.safetensors")
+    (group,) = found(job).groups
+    assert VISITS.applies(group)
+    with visual_language():
+        figure = VISITS.draw(group)
+    maps = [ax for ax in figure.axes if ax.images]
+    assert [ax.get_title() for ax in maps] == ["1", "4", "8", "20"]
+    last = maps[-1].images[0].get_array()
+    assert last is not None
+    share = np.ma.filled(np.ma.masked_invalid(last), 0)
+    np.testing.assert_allclose(share, [[200 / 230, 0, 0], [0, 0, 30 / 230]])
+    assert "softmax: 2 of 6" in VISITS.caption(group)
+
+
+@pytest.mark.parametrize("data", [b"", b"no tensors at all", None])
+def test_an_unreadable_file_is_a_gap(job, data):
+    if data is None:
+        save_file({"iteration": np.arange(2)}, job / "visits.safetensors")
+    else:
+        (job / "visits.safetensors").write_bytes(data)
+    everything = found(job)
+    assert not VISITS.applies(everything.groups[0])
+    assert any("visits.safetensors" in gap.why for gap in everything.gaps)
+
+
+def test_without_the_file_there_is_no_figure(job):
+    assert not VISITS.applies(found(job).groups[0])
