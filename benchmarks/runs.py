@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from plain import train as train_plain
@@ -18,9 +18,11 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.collectors import Collector
 from torchrl.envs import Compose, GymEnv, RewardSum, StepCounter, TransformedEnv
+from torchrl.envs.utils import ExplorationType
 
 from trl_explore.collectors import FusedCollector, TorchRLCollector
 from trl_explore.envs import make_env
+from trl_explore.numerics.streams import Stream
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.policies import LinearPolicy
 from trl_explore.policies.actor import SoftmaxActor
@@ -32,6 +34,7 @@ from trl_explore.strategies import (
     Softmax,
     Strategy,
 )
+from trl_explore.training.evaluation import Evaluator
 from trl_explore.training.optimizers import LaneAdam
 from trl_explore.training.record import Trials
 from trl_explore.training.shards import Shards, partition
@@ -79,6 +82,7 @@ def build(
     first_trial: int = 0,
     lanes: bool = False,
     max_iterations: int = CAP,
+    evaluates: bool = False,
 ) -> Trainer:
     """The thesis's agents, as ``scripts/train.py`` builds them by default.
 
@@ -88,6 +92,7 @@ def build(
         first_trial: the index of the first one.
         lanes: whether the ``TorchRLCollector`` collects, instead of the fused one.
         max_iterations: the cap.
+        evaluates: whether to evaluate what the agents learned, as by default.
     """
     env = make_env("CartPole-v1", trials, 500, first_trial=first_trial)
     policy = LinearPolicy(env, first_trial=first_trial)
@@ -96,7 +101,22 @@ def build(
     collector = TorchRLCollector(env, both) if lanes else FusedCollector(env, both)
     loss = ReinforceLoss(SoftmaxActor(policy), trials=trials, functional=False)
     record = Trials(trials, max_iterations=max_iterations)
-    return Trainer(collector, loss, LaneAdam(policy.parameters()), record)
+    evaluator = None
+    if evaluates:
+        greedy: list[Any] = [policy, Argmax()]
+        evaluator = Evaluator(
+            FusedCollector(
+                make_env(
+                    "CartPole-v1", trials, 500, first_trial=first_trial, stream=Stream.EVALUATION
+                ),
+                TensorDictSequential(*greedy),
+                exploration_type=cast(Any, ExplorationType.DETERMINISTIC),
+            ),
+            threshold=record.score_threshold,
+            max_iterations=max_iterations,
+            most=100,
+        )
+    return Trainer(collector, loss, LaneAdam(policy.parameters()), record, evaluator=evaluator)
 
 
 def train(shards: Shards, threads: int = 1) -> Run:

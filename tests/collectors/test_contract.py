@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import add
+
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from gymnasium import spaces
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torchrl.collectors import BaseCollector
 from torchrl.envs.utils import ExplorationType
 
-from trl_explore.collectors import EpisodeCollector, FusedCollector, TorchRLCollector
+from trl_explore.collectors import (
+    EpisodeCollector,
+    FusedCollector,
+    SteppingCollector,
+    TorchRLCollector,
+)
 from trl_explore.envs import make_env
+from trl_explore.envs.kernels import Kernel, kernel_function, register_kernel
 from trl_explore.numerics.streams import Stream, generator
 from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import (
@@ -23,7 +33,7 @@ from trl_explore.strategies import (
     inverse_cdf,
 )
 
-COLLECTORS = [TorchRLCollector, FusedCollector]
+COLLECTORS = [TorchRLCollector, SteppingCollector, FusedCollector]
 STRATEGIES = [
     Random,
     Argmax,
@@ -140,6 +150,63 @@ def test_the_outcome_of_every_episode(kind, k):
         assert after["episode_reward"][ends, 0].tolist() == score.reshape(-1).tolist()
         owners = np.repeat(np.flatnonzero(active), length.reshape(n, -1).sum(1))
         assert frames["trial"].tolist() == owners.tolist()
+
+
+class Payments(gym.Env):
+    """Pays ``pay`` at each of ``steps`` steps."""
+
+    observation_space = spaces.Box(-1, 1, (4,), np.float32)
+    action_space = spaces.Discrete(2)
+
+    def __init__(self, pay: float, steps: int) -> None:
+        self.pay, self.steps, self.t = pay, steps, 0
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.t = 0
+        return np.zeros(4, np.float32), {}
+
+    def step(self, action):
+        self.t += 1
+        return np.zeros(4, np.float32), self.pay, self.t >= self.steps, False, {}
+
+
+@kernel_function
+def payments_reset(parameters, state, rng):
+    state[0] = 0
+
+
+@kernel_function
+def payments_step(parameters, state, action, rng):
+    state[0] += 1
+    return parameters[0], state[0] >= parameters[1]
+
+
+@kernel_function
+def payments_observe(parameters, state, observation):
+    for k in range(4):
+        observation[k] = 0
+
+
+@register_kernel(Payments)
+def payments(env: Payments) -> Kernel:
+    functions = payments_reset, payments_step, payments_observe
+    parameters = (float(env.pay), env.steps)
+    return Kernel(*functions, parameters, state_size=1, n_features=4, n_actions=2)
+
+
+@pytest.mark.parametrize(
+    ("pay", "steps"), [(0.1, 100), (20_000_001.0, 3), (0.01, 5000)], ids=["0.1", "large", "0.01"]
+)
+def test_a_score_is_a_sum_in_double(kind, pay, steps):
+    """In single precision, a hundred rewards of 0.1 exceed 10, and 3 x 20,000,001 is 60,000,000."""
+    gym.register("Payments-v0", entry_point=Payments, max_episode_steps=10_000)
+    try:
+        env = make_env("Payments-v0", 2, kwargs={"pay": pay, "steps": steps})
+        collector = kind(env, TensorDictSequential(LinearPolicy(env), Softmax()))
+        assert collector.collect().score.tolist() == [reduce(add, [pay] * steps)] * 2
+    finally:
+        gym.registry.pop("Payments-v0")
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import wraps
 
 import gymnasium as gym
 import numpy as np
@@ -16,8 +17,8 @@ from trl_explore.collectors import FusedCollector, NotCompilableError, auto_coll
 from trl_explore.collectors.fused import collector as module
 from trl_explore.collectors.fused.lanes import LANES
 from trl_explore.collectors.fused.loop import compile_loop
-from trl_explore.collectors.fused.networks import Network
 from trl_explore.collectors.fused.scratch import Scratch, scratch
+from trl_explore.collectors.networks import Network
 from trl_explore.envs import make_env
 from trl_explore.envs.kernels import Kernel, kernel_of, register_kernel
 from trl_explore.envs.kernels import kernel as kernel_base
@@ -68,13 +69,44 @@ def test_auto_falls_back_and_says_why(caplog):
     caplog.set_level("INFO", logger="trl_explore")
     env = make_env(trials=2)
     collector = auto_collector(env, TensorDictSequential(LinearPolicy(env), Outside()))
-    assert type(collector).__name__ == "TorchRLCollector"
+    assert type(collector).__name__ == "SteppingCollector"
     assert len(caplog.messages) == 1
     assert "Outside" in caplog.messages[0]
     env = make_env(trials=2)
     collector = auto_collector(env, TensorDictSequential(LinearPolicy(env), Softmax()))
     assert type(collector).__name__ == "FusedCollector"
     assert caplog.messages[1:] == ["collector: fused"]
+
+
+def seven(self, action):
+    observation, reward, *rest = STEP(self, action)
+    return observation, 7 * reward, *rest
+
+
+STEP = CartPoleEnv.step
+
+
+@pytest.mark.parametrize("first", ["replaced", "registered"])
+@pytest.mark.parametrize("new", [seven, wraps(STEP)(seven)])
+def test_a_method_that_somebody_has_replaced_has_no_kernel(first, new, monkeypatch):
+    """The kernel stands for gymnasium's methods, whatever the name of the class."""
+    monkeypatch.setattr(CartPoleEnv, "step", new)
+    if first == "replaced":  # before the kernels were imported
+        monkeypatch.setitem(kernel_base._METHODS, CartPoleEnv, kernel_base._methods(CartPoleEnv))
+    with pytest.raises(NotCompilableError, match=r"CartPoleEnv\.step has been replaced"):
+        build(make_env(trials=2))
+    env = make_env(trials=2)
+    collector = auto_collector(env, TensorDictSequential(LinearPolicy(env), Softmax()))
+    rollout = collector.collect()
+    assert rollout.score.tolist() == (7 * rollout.length).tolist()
+
+
+def test_a_method_replaced_in_an_instance_has_no_kernel():
+    env = make_env(trials=2)
+    inner = env.base_env._env.envs[0].unwrapped
+    inner.step = lambda action: STEP(inner, action)
+    with pytest.raises(NotCompilableError, match=r"CartPoleEnv\.step has been replaced"):
+        build(env)
 
 
 @pytest.mark.parametrize("first_frames", [1, 7])

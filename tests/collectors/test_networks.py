@@ -18,7 +18,7 @@ from torchrl.envs.utils import ExplorationType
 from tests.collectors.test_agreement import assert_same
 from trl_explore.collectors import FusedCollector, NotCompilableError, TorchRLCollector
 from trl_explore.collectors.fused import collector as module
-from trl_explore.collectors.fused.networks import Network, arrays, compile_network, network_of
+from trl_explore.collectors.networks import Network, arrays, compile_network, network_of
 from trl_explore.envs import make_env
 from trl_explore.envs.kernels import Kernel, kernel_function, register_kernel
 from trl_explore.numerics.compiled.philox import random

@@ -25,6 +25,7 @@ from trl_explore.jobs.columns import (
 from trl_explore.jobs.reading import read_frame, read_jobs
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "train.py"
+TINY = ["trials=2", "max_iterations=3"]
 NAMES = {
     "random": "random",
     "argmax": "argmax",
@@ -595,3 +596,58 @@ def test_tab_completion_without_torch(run_cli, tmp_path):
     assert process.returncode == 0, process.stderr
     assert set(process.stdout.split()) >= {f"strategy={strategy}" for strategy in STRATEGIES}
     assert "torch was imported" not in process.stderr
+
+
+@pytest.mark.parametrize("value", ["ü", "a=b", "~/x", "результаты"])
+def test_what_the_grammar_cannot_read_is_shown_with_its_quotes(run_many, tmp_path, value):
+    word = f"output_dir={value}"
+    refused, accepted = run_many(
+        [[word, *TINY], [f"output_dir='{tmp_path}/{value.replace('~', '')}'", *TINY]], tmp_path
+    )
+    assert refused.returncode == 1
+    (line,) = refused.stderr.splitlines()
+    assert word in line
+    assert f"output_dir='{value}'" in line
+    assert accepted.returncode == 0, accepted.stderr
+
+
+def test_a_tilde_is_the_home_of_the_user(run_many, tmp_path):
+    home = f"import os; os.environ['HOME'] = {str(tmp_path / 'home')!r}"
+    (ran,) = run_many([home, ["output_dir='~/results'", *TINY]], tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["home"]
+
+
+def test_equal_numbers_are_one_job(run_many, tmp_path):
+    words = ["-m", "env=gym", "env.id=CartPole-v1", "score_threshold=100,100.0", *TINY]
+    (ran,) = run_many([words], tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    assert len([p for p in (tmp_path / "outputs" / "train").iterdir() if p.is_dir()]) == 1
+
+
+def test_the_users_code_is_part_of_a_job(run_many, tmp_path):
+    """A job with changed code is neither resumed nor called finished."""
+    source = """
+import gymnasium as gym, numpy as np
+REWARD = 1.0
+class Env(gym.Env):
+    observation_space = gym.spaces.Box(-1, 1, (3,), np.float32)
+    action_space = gym.spaces.Discrete(2)
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return np.zeros(3, np.float32), {}
+    def step(self, action):
+        return np.zeros(3, np.float32), REWARD, False, False, {}
+gym.register("Own-v0", entry_point=Env, max_episode_steps=5)
+"""
+    (tmp_path / "own_env.py").write_text(source)
+    path = f"import sys; sys.path.insert(0, {str(tmp_path)!r})"
+    words = ["env=gym", "env.id=own_env:Own-v0", "score_threshold=1e6", *TINY]
+    first, again = run_many([path, words, words], tmp_path)
+    assert first.returncode == again.returncode == 0, first.stderr
+    (tmp_path / "own_env.py").write_text(source.replace("REWARD = 1.0", "REWARD = 100.0"))
+    (changed,) = run_many([path, words], tmp_path)
+    assert changed.returncode == 1
+    (line,) = changed.stderr.splitlines()
+    assert "own_env" in line
+    assert "restart=true" in line

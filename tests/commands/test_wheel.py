@@ -74,6 +74,7 @@ def test_its_commands_work_from_any_folder(installed, tmp_path):
     for words in (
         ["status", "outputs"],
         ["time", "outputs", "--trials", "1"],
+        ["verify", "outputs"],
         ["report", str(job)],
     ):
         done = run(installed, tmp_path, *words)
@@ -87,6 +88,9 @@ def test_files_of_the_user_stand_beside_those_of_the_package(installed, tmp_path
     folder.mkdir(parents=True)
     text = "_target_: trl_explore.strategies.EpsilonGreedy\nepsilon: 0.25\n"
     (folder / "quarter.yaml").write_text(text)
+    (folder / "softmax.yaml").write_text(
+        "_target_: trl_explore.strategies.Softmax\ntemperature: 5.0\n"
+    )
     own = ["--config-dir", str(tmp_path / "mine")]
     trained = run(installed, tmp_path, *JOB, *own, "strategy=quarter")
     assert trained.returncode == 0, trained.stderr
@@ -97,6 +101,12 @@ def test_files_of_the_user_stand_beside_those_of_the_package(installed, tmp_path
     assert unknown.stderr.startswith("error: ")
     assert unknown.stderr.count("\n") == 1
     assert (timed.returncode, timed.stderr) == (0, "")
+    replaced = run(installed, tmp_path, *JOB, *own, "strategy=softmax")
+    assert replaced.returncode == 0, replaced.stderr
+    assert any("temperature=5.0" in path.name for path in job.parent.iterdir())
+    absent = run(installed, tmp_path, *JOB, "--config-dir", "absent")
+    assert (absent.returncode, absent.stderr.count("\n")) == (1, 1)
+    assert "absent" in absent.stderr
 
 
 def test_a_missing_extra_is_one_line():
@@ -133,9 +143,8 @@ def test_the_list_of_commands():
     )
     assert shown.returncode == 0
     assert [line.split()[0] for line in shown.stdout.splitlines()[2:-2]] == [
-        "train", "report", "status", "time",
+        "train", "report", "status", "time", "verify",
     ]  # fmt: skip
     assert (wrong.returncode, wrong.stdout) == (1, "")
-    assert (
-        wrong.stderr == "error: unknown command 'tarin'; available: train, report, status, time\n"
-    )
+    assert wrong.stderr.startswith("error: unknown command 'tarin'; available: train, report, ")
+    assert wrong.stderr.count("\n") == 1

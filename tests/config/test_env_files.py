@@ -22,7 +22,10 @@ from trl_explore.envs.gym import reward_threshold
 from trl_explore.envs.kernels import kernel_of
 
 CONF = Path(__file__).resolve().parents[2] / "conf" / "env"
-FILES = {path.stem: OmegaConf.load(path) for path in sorted(CONF.glob("*.yaml"))}
+FILES = {
+    path.stem: OmegaConf.create({"env": OmegaConf.load(path)}).env  # they refer to "env.…"
+    for path in sorted(CONF.glob("*.yaml"))
+}
 GYM = FILES.pop("gym")
 FEATURES = {  # name: number of features, of actions or of their components
     "acrobot": (6, 3),
@@ -31,18 +34,25 @@ FEATURES = {  # name: number of features, of actions or of their components
     "cartpole": (4, 2),
     "cartpole_15": (4, 2),
     "cartpole_475": (4, 2),
+    "catch": (50, 3),
     "cliffwalking": (48, 4),
+    "deep_sea": (100, 2),
     "frozenlake": (16, 4),
     "frozenlake8x8": (64, 4),
     "lunarlander": (8, 4),
     "mountaincar": (2, 3),
+    "mountaincar_sparse": (2, 3),
     "pendulum": (3, 1),
+    "river_swim": (6, 2),
+    "swing_up": (3, 3),
     "taxi": (500, 6),
+    "two_rooms": (55, 4),
 }
 CONTINUOUS = ("bipedalwalker", "bipedalwalker_hardcore", "pendulum")
 BOX2D = ("bipedalwalker", "bipedalwalker_hardcore", "lunarlander")
 COMPILED = ("acrobot", "cartpole", "cartpole_15", "cartpole_475", "cliffwalking", "frozenlake")
 COMPILED += ("frozenlake8x8", "mountaincar", "taxi")
+COMPILED += ("catch", "deep_sea", "mountaincar_sparse", "river_swim", "swing_up", "two_rooms")
 
 
 def named(names):
@@ -53,7 +63,7 @@ def named(names):
 
 
 def arguments(name: str) -> dict:
-    node = OmegaConf.to_container(FILES[name])
+    node = OmegaConf.to_container(FILES[name], resolve=True)
     assert node.pop("_target_") == "trl_explore.envs.make_env"
     return {key: value for key, value in node.items() if key not in STOPPING}
 
@@ -88,12 +98,15 @@ def test_its_numbers_are_gymnasiums(name):
     others = {"cartpole": 195, "cartpole_15": 195, "cliffwalking": -25, "pendulum": -250}
     others["taxi"] = 7
     assert node.score_threshold == others.get(name, spec.reward_threshold)
-    assert node.max_steps == (500 if name == "cliffwalking" else spec.max_episode_steps)
+    limits = {"cliffwalking": 500, "deep_sea": 10, "catch": 10}
+    assert node.max_steps == limits.get(name, spec.max_episode_steps)
     assert node.score_window == 100
     assert lane_env(make_env(**arguments(name))).max_steps == node.max_steps
 
 
-@pytest.mark.parametrize("name", ["cliffwalking", "frozenlake", "frozenlake8x8", "taxi"])
+@pytest.mark.parametrize(
+    "name", ["cliffwalking", "frozenlake", "frozenlake8x8", "river_swim", "taxi", "two_rooms"]
+)
 def test_the_best_policy_passes(name):
     """By backward induction over the time limit: its mean score is above the threshold.
 

@@ -33,7 +33,7 @@ JOBS = {
     ],
     "stopped by evaluation": ["evaluate_every=2", "stop_on=learned", "optimizer=torch"],
     "learns from data": ["strategy=vdbe", "baseline=step_mean", "evaluate_every=4"],
-    "counts": ["strategy=count_bonus", "diagnostics=true"],
+    "counts": ["strategy=count_bonus", "diagnostics=true", "intrinsic_reward=0.1"],
     "noise": ["strategy=parameter_noise", "baseline=episode_mean", "diagnostics=true"],
     "schedule": [
         "strategy=softmax", "policy=mlp",

@@ -9,8 +9,14 @@ from torch.distributions import Categorical, kl_divergence
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.envs import make_env
+from trl_explore.numerics.score import lane_sum
 from trl_explore.policies import LinearPolicy, MLPPolicy
-from trl_explore.policies.actor import SoftmaxActor, SoftmaxCategorical, score_sum
+from trl_explore.policies.actor import SoftmaxActor, SoftmaxCategorical, frame_log_prob
+
+
+def score_sum(actor, data, action, advantage, trial, trials):
+    """Σ A log π(a|s) of every trial, whose gradient is the policy gradient."""
+    return lane_sum(frame_log_prob(actor, data, action) * advantage, trial, trials)
 
 
 @pytest.fixture(scope="module")

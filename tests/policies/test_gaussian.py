@@ -13,6 +13,7 @@ from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.envs import make_env
+from trl_explore.numerics.score import lane_sum
 from trl_explore.policies import (
     GaussianLinearPolicy,
     GaussianMLPPolicy,
@@ -27,7 +28,6 @@ from trl_explore.policies.actor import (
     SoftmaxActor,
     actor_of,
     frame_log_prob,
-    score_sum,
 )
 
 BOTH = [GaussianLinearPolicy, GaussianMLPPolicy]
@@ -40,6 +40,11 @@ class Sizes:
         self.batch_size = torch.Size([trials])
         self.observation_spec = {"observation": Bounded(-1.0, 1.0, shape=(trials, features))}
         self.action_spec = Bounded(-1.0, 1.0, shape=(trials, dims))
+
+
+def score_sum(actor, data, action, advantage, trial, trials):
+    """Σ A log π(a|s) of every trial, whose gradient is the policy gradient."""
+    return lane_sum(frame_log_prob(actor, data, action) * advantage, trial, trials)
 
 
 @pytest.fixture(scope="module")

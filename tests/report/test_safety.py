@@ -27,7 +27,7 @@ OWNED = {
     ("torch", "load"), ("pd", "read_pickle"), ("np", "fromfile"), ("os", "system"), ("os", "popen"),
     ("yaml", "load"), ("yaml", "unsafe_load"), ("yaml", "full_load"),
 }  # fmt: skip
-PIPES = {"trl_explore/envs/copies.py": {"pickle"}}
+PIPES = {"trl_explore/envs/processes.py": {"pickle"}}
 """Talk with processes that they started themselves, over pipes of their own; they open no file."""
 EVIL = (
     "<script>alert(1)</script>&amp;\"'\\input{x}%$#_{}~^\n\\end{tabular}|`*[x](javascript:1)\r-->"
@@ -84,7 +84,7 @@ def test_the_only_resolvers_are_two_names():
     """``${...}`` in a configuration computes nothing but the name of a sweep and of a job."""
     before = set(dir(OmegaConf))
     register_resolvers()
-    assert OmegaConf.has_resolver("sweep_name")
+    assert OmegaConf.has_resolver("sweep_folder")
     assert OmegaConf.has_resolver("job_name")
     assert set(dir(OmegaConf)) == before
     for path in (ROOT / "trl_explore").rglob("*.py"):

@@ -61,7 +61,7 @@ def test_what_a_strategy_does_is_declared_by_what_it_overrides():
     own = Softmax, VDBE, CountBonus, ParameterNoise
     assert [kind.learns_from_data for kind in own] == [False, True, True, True]
     assert [kind.per_episode for kind in own] == [False, False, False, True]
-    assert [kind.compilable for kind in own] == [True, True, False, True]
+    assert [kind().compilable for kind in own] == [True, True, False, True]
     assert EpsilonZGreedy.per_episode
 
 

@@ -11,6 +11,7 @@ from tensordict.nn import TensorDictSequential
 from trl_explore.collectors import (
     FusedCollector,
     NotCompilableError,
+    SteppingCollector,
     TorchRLCollector,
     auto_collector,
 )
@@ -110,9 +111,9 @@ def test_the_fused_collector_serves(kind, caplog):
 )
 def test_the_fused_collector_refuses_with_the_reason(kind, reason, caplog):
     with caplog.at_level(logging.INFO):
-        assert isinstance(collector(auto_collector, kind()), TorchRLCollector)
+        assert isinstance(collector(auto_collector, kind()), SteppingCollector)
     (message,) = caplog.messages
-    assert re.match(f"collector: torchrl .*{reason}", message)
+    assert re.match(f"collector: stepping .*{reason}", message)
 
 
 def test_several_episodes_at_once_cannot_each_be_begun():

@@ -33,7 +33,8 @@ def hydra():
 
 def trained(*overrides):
     config = compose(
-        "train", ["trials=4", "max_iterations=24", "score_window=6", *overrides],
+        "train",
+        ["trials=4", "max_iterations=24", "score_window=6", "evaluate_episodes=2", *overrides],
         return_hydra_config=True,
     )  # fmt: skip
     trainer = build_trainer(config)

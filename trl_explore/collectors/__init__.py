@@ -2,7 +2,9 @@
 
 from trl_explore.collectors.auto import auto_collector
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
-from trl_explore.collectors.fused import FusedCollector, NotCompilableError
+from trl_explore.collectors.compiling import NotCompilableError
+from trl_explore.collectors.fused import FusedCollector
+from trl_explore.collectors.stepping import SteppingCollector
 from trl_explore.collectors.torchrl import TorchRLCollector
 
 __all__ = [
@@ -10,6 +12,7 @@ __all__ = [
     "FusedCollector",
     "NotCompilableError",
     "Rollout",
+    "SteppingCollector",
     "TorchRLCollector",
     "auto_collector",
 ]

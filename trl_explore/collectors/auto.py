@@ -1,4 +1,4 @@
-"""The fused collector where it applies, and the TorchRL collector elsewhere."""
+"""The fastest collector that applies: fused, stepping, or TorchRL's own stepping."""
 
 from __future__ import annotations
 
@@ -9,10 +9,15 @@ from tensordict.nn import TensorDictSequential
 from torchrl.envs import TransformedEnv
 
 from trl_explore.collectors.collector import EpisodeCollector
-from trl_explore.collectors.fused.collector import FusedCollector, NotCompilableError
+from trl_explore.collectors.compiling import NotCompilableError
+from trl_explore.collectors.fused.collector import FusedCollector
+from trl_explore.collectors.stepping.collector import SteppingCollector
 from trl_explore.collectors.torchrl import TorchRLCollector
 
 logger = logging.getLogger(__name__)
+
+KINDS = ((FusedCollector, "fused"), (SteppingCollector, "stepping"))
+"""The collectors that may not apply, the fastest first."""
 
 
 def auto_collector(
@@ -22,7 +27,7 @@ def auto_collector(
     announce: bool = True,
     **options: Any,
 ) -> EpisodeCollector:
-    """The fastest collector that applies; one log line names it, and says why it is not fused.
+    """The fastest collector that applies; one log line names it, and says why no faster one does.
 
     Args:
         env: an environment made by ``envs.make_env``.
@@ -32,12 +37,16 @@ def auto_collector(
         announce: whether to write the log line.
         options: the arguments of ``EpisodeCollector``.
     """
-    try:
-        collector = FusedCollector(env, policy, **options)
-        line = "collector: fused"
-    except NotCompilableError as error:
-        collector = TorchRLCollector(env, policy, **options)
-        line = f"collector: torchrl (the fused collector does not apply: {error})"
+    reasons: list[str] = []
+    for kind, name in KINDS:
+        try:
+            collector = kind(env, policy, **options)
+            break
+        except NotCompilableError as error:
+            reasons.append(f"{name} does not apply: {error}")
+    else:
+        collector, name = TorchRLCollector(env, policy, **options), "torchrl"
     if announce:
-        logger.info(line)
+        why = f" ({'; '.join(reasons)})" if reasons else ""
+        logger.info("collector: %s%s", name, why)
     return collector

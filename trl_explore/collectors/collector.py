@@ -27,7 +27,8 @@ class Rollout(NamedTuple):
     Attributes:
         frames: all frames, flat [frames]; see ``EpisodeCollector`` for the entries.
         score: the undiscounted return of every episode [active], in ascending order of trials;
-            [active, k] if every trial has k > 1 episodes.
+            [active, k] if every trial has k > 1 episodes. It is the sum of the environment's
+            rewards in double precision.
         length: the number of frames of every episode, in the same shape.
     """
 
@@ -51,7 +52,7 @@ class EpisodeCollector(BaseCollector):
         next.reward        [frames, 1]            float32
         next.done, next.terminated, next.truncated  [frames, 1]  bool
         next.step_count    [frames, 1]            int64, from 1
-        next.episode_reward [frames, 1]           float32, the sum so far; the score at done
+        next.episode_reward [frames, 1]           float32, ``RewardSum``: the sum so far
 
     and "action_mask" if the environment has one. As with TorchRL's ``compact_obs``, the next
     observation is not stored twice.

@@ -46,9 +46,10 @@ class TorchRLCollector(EpisodeCollector):
         lanes = self.lanes
         lanes.episodes[:] = episodes
         self.strategy.begin(active, episodes)
-        noise = _Noise(self, np.flatnonzero(active), episodes)
+        noise = Noise(self, np.flatnonzero(active), episodes)
         trial = torch.arange(self.trials)
         frames: list[TensorDictBase] = []
+        score = np.zeros(self.trials)
         running: list[NDArray[np.bool_]] = []
         reset = TensorDict({"_reset": torch.from_numpy(active).unsqueeze(-1)}, [self.trials])
         with set_exploration_type(self.exploration_type):
@@ -63,15 +64,13 @@ class TorchRLCollector(EpisodeCollector):
                 for module in self.policy:
                     module(td)
                 td.set("next", self._next(td))
+                score += lanes.signals.reward
                 frames.append(self._frame(td))
                 td = self.env._step_mdp(td)
         mask = np.stack(running, 1)
         length = mask.sum(1)[active]
-        (trials,) = active.nonzero()
         data = cast(TensorDictBase, TensorDict.stack(frames, 1))
-        total = data.get(("next", "episode_reward")).squeeze(-1).numpy()
-        score = total[trials, length - 1].astype(np.float64)
-        return Rollout(data[torch.from_numpy(mask)], score, length)
+        return Rollout(data[torch.from_numpy(mask)], score[active], length)
 
     def _next(self, td: TensorDictBase) -> TensorDictBase:
         """The "next" entry that ``env.step`` writes.
@@ -108,7 +107,7 @@ class TorchRLCollector(EpisodeCollector):
         return TensorDict._new_unsafe(source, batch_size=td.batch_size)
 
 
-class _Noise:
+class Noise:
     """The action noise u of the lanes, step by step; each trial has its own stream."""
 
     def __init__(

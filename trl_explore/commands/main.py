@@ -5,9 +5,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from io import TextIOWrapper
+from pathlib import Path
 
 from trl_explore.jobs import signals
 
@@ -16,6 +19,7 @@ COMMANDS = {
     "report": "turn job and sweep folders into one HTML page",
     "status": "show which jobs are done, running, failed or left",
     "time": "time single trials of finished jobs",
+    "verify": "run finished jobs again and compare the results",
 }
 LABORATORY = {
     "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas",
@@ -31,8 +35,10 @@ def main(words: Sequence[str] | None = None) -> int:
         words: the name of the command and its arguments; by default those of the process.
 
     Returns:
-        The exit status: 0, or 1 after one line on stderr that describes the error.
+        The exit status: 0, or 1 after one line on stderr that describes the error, or 130 after
+        Ctrl-C.
     """
+    open_streams()
     name, *arguments = (sys.argv[1:] if words is None else words) or ["--help"]
     if name in ("-h", "--help"):
         print("usage: trl-explore COMMAND ...\n")
@@ -46,7 +52,10 @@ def main(words: Sequence[str] | None = None) -> int:
         signals.leave_on_signals()
     sys.argv = [f"trl-explore {name}", *arguments]
     try:
-        command = import_module(f"trl_explore.commands.{name}")
+        return import_module(f"trl_explore.commands.{name}").main()
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
     except ModuleNotFoundError as error:
         if error.name not in LABORATORY:
             raise
@@ -54,4 +63,13 @@ def main(words: Sequence[str] | None = None) -> int:
             f"error: {error.name} is not installed: pip install 'trl_explore[lab]'", file=sys.stderr
         )
         return 1
-    return command.main()
+
+
+def open_streams() -> None:
+    """Let any text be printed: to a closed stream, and where the terminal has only ASCII."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
+        elif isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")

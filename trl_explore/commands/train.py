@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import logging
 import os
 import sys
@@ -22,6 +23,7 @@ from trl_explore import jobs as results
 from trl_explore.config import CONF, ConfigError
 from trl_explore.jobs import signals
 from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
+from trl_explore.jobs.code import changed_code, code_digests
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.lock import NAME as LOCK
 from trl_explore.jobs.lock import Lock, LockedError
@@ -76,6 +78,8 @@ def begin_worker() -> None:
     """Print only whole lines, because this process shares the terminal with others."""
     from trl_explore.jobs.console import Progress
 
+    if configuration.current_choices().get("hydra/launcher") == "joblib":
+        signals.end_with_parent()
     Progress.quiet = True
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
@@ -107,6 +111,7 @@ def leave_finished(folder: Path, values: dict[str, Any]) -> None:
     """Report that a job is finished, and remove leftovers of a kill at its very end."""
     record = results.read_run(folder)
     differences = configuration.differences(record["config"], values)
+    differences += changed_code(record.get("code", {}), code_digests(values), own=False)
     if differences:
         raise ConfigError(
             f"{folder} holds a job with another configuration ({'; '.join(differences)}); "
@@ -126,6 +131,7 @@ def check_same(folder: Path, header: dict[str, Any], values: dict[str, Any]) -> 
     """Refuse to resume from a checkpoint of another configuration or other package versions."""
     differences = configuration.differences(header["config"], values)
     differences += configuration.differences(header["versions"], results.versions(), "versions.")
+    differences += changed_code(header.get("code", {}), code_digests(values))
     if differences:
         raise ConfigError(
             f"{folder} holds an unfinished job with another configuration "
@@ -148,7 +154,7 @@ def train_from(
     choices = configuration.current_choices()
     torch.set_num_threads(1)
     shards = configuration.build_shards(config, checkpoints.sizes)
-    header = {"config": values, "versions": results.versions()}
+    header = {"config": values, "versions": results.versions(), "code": code_digests(values)}
     checkpoints.attach(shards, header, interrupts, config.checkpoint_seconds)
     if checkpoints.header is None:
         checkpoints.clear()
@@ -224,11 +230,31 @@ def _place(word: str) -> int:
     return 2 if word[:1] == "~" or (word[:1] != "-" and "=" in word) else 1
 
 
+def own_folder() -> Path:
+    """The folder that Hydra searches first: the user's (``--config-dir``), if there is one.
+
+    Hydra searches the folder of ``--config-dir`` last, so the two are exchanged.
+
+    Raises:
+        ConfigError: if the folder does not exist.
+    """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config-dir", "-cd", type=Path)
+    found, others = parser.parse_known_args(sys.argv[1:])
+    if found.config_dir is None:
+        return CONF
+    if not found.config_dir.is_dir():
+        raise ConfigError(f"--config-dir {found.config_dir}: no such folder")
+    sys.argv[1:] = ["--config-dir", str(CONF), *others]
+    return found.config_dir.resolve()
+
+
 def sweep() -> int:
     """Run all jobs of the command; return the exit status."""
     try:
         signals.raise_on_signals()
-        start = hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
+        folder = own_folder()
+        start = hydra.main(version_base="1.3", config_path=str(folder), config_name="train")
         jobs = configuration.collect(start(run))
         signals.check()
         finished = [job.folder for job in jobs if not job.error]
@@ -239,7 +265,8 @@ def sweep() -> int:
         signals.check()
         if TRACEBACK in os.environ or not isinstance(error, (HydraException, *EXPECTED)):
             raise
-        print(f"error: {configuration.describe(error)}", file=sys.stderr)
+        unread = configuration.unreadable(sys.argv[1:]) if isinstance(error, HydraException) else ""
+        print(f"error: {unread or configuration.describe(error)}", file=sys.stderr)
         return 1
     if len(jobs) > 1 and failed:
         print(f"{len(failed)} of {len(jobs)} jobs failed:", file=sys.stderr)

@@ -14,8 +14,8 @@ from trl_explore.config.building import (
     is_multirun,
     save_hydra,
 )
-from trl_explore.config.checking import check_keys, describe, differences, resolved
-from trl_explore.config.files import CONF, GROUPS, INERT, ConfigError
+from trl_explore.config.checking import check_keys, describe, differences, resolved, unreadable
+from trl_explore.config.files import CONF, GROUPS, INERT, ConfigError, files_of, search_in
 from trl_explore.config.naming import job_name, register_resolvers
 from trl_explore.config.sweeping import Ended, collect, end_job, is_repeated, is_worker
 
@@ -34,6 +34,7 @@ __all__ = [
     "describe",
     "differences",
     "end_job",
+    "files_of",
     "fill_threshold",
     "first_line",
     "is_multirun",
@@ -43,4 +44,6 @@ __all__ = [
     "register_resolvers",
     "resolved",
     "save_hydra",
+    "search_in",
+    "unreadable",
 ]

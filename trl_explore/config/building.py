@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from trl_explore.objectives.baselines import Baseline
     from trl_explore.training.evaluation import Evaluator
+    from trl_explore.training.intrinsic import CountReward
     from trl_explore.training.shards import Shards
     from trl_explore.training.trainer import Trainer
 
@@ -89,14 +90,14 @@ def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shar
     return Shards(trainers)
 
 
-def build_trainer(config: DictConfig) -> Trainer:
-    """Build one trainer for all trials of a job.
+def build_trainer(config: DictConfig, rows: slice | None = None) -> Trainer:
+    """Build one trainer for some of a job's trials; None: for all.
 
     Raises:
         ConfigError: if a value is not allowed.
     """
     _check(config)
-    return _build_trainer(config, slice(0, config.trials))
+    return _build_trainer(config, rows or slice(0, config.trials), announce=rows is None)
 
 
 def _check(config: DictConfig) -> None:
@@ -123,13 +124,11 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from tensordict.nn import TensorDictSequential
 
     from trl_explore.collectors import auto_collector
-    from trl_explore.numerics.compiled.cache import lock_cache
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.record import Trials
     from trl_explore.training.trainer import Trainer
 
-    lock_cache()
     size = rows.stop - rows.start
     trials = _build(
         None,
@@ -169,6 +168,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     if config.diagnostics:
         diagnostics = Diagnostics(actor, strategy, size, policy.parameters())
     evaluator = _evaluator(config, env, policy, strategy, size, streams)
+    intrinsic = _build(None, lambda: _intrinsic(config, env, policy, size, streams))
     return _build(
         None,
         lambda: Trainer(
@@ -178,8 +178,24 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
             trials,
             evaluator=evaluator,
             diagnostics=diagnostics,
+            intrinsic=intrinsic,
         ),
     )
+
+
+def _intrinsic(
+    config: DictConfig, env: Any, policy: Any, trials: int, streams: Mapping[str, int]
+) -> CountReward | None:
+    """Build the intrinsic reward; None if it is off."""
+    from trl_explore.training.intrinsic import CountReward
+
+    beta = check_number("intrinsic_reward", config.intrinsic_reward, 0)
+    if not beta:
+        return None
+    if env.action_spec.domain != "discrete":
+        raise ValueError(f"intrinsic_reward counts discrete actions, got {env.action_spec.domain}")
+    tabular = bool(getattr(policy, "tabular", False))
+    return CountReward(beta, trials, env.action_spec.space.n, one_hot=tabular, **streams)
 
 
 def _evaluator(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
-from hydra.errors import MissingConfigException
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
@@ -117,6 +118,24 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = ""
         elif not same(a, b):
             found.append(f"{prefix}{key}: {a} before, {b} now")
     return found
+
+
+def unreadable(words: Iterable[str]) -> str:
+    """One line on the first argument that Hydra's grammar cannot read; empty if it can read all."""
+    parser = OverridesParser.create()
+    for word in words:
+        if word.startswith("-"):
+            continue
+        try:
+            parser.parse_override(word)
+        except HydraException:
+            key, equals, value = word.partition("=")
+            if not equals:
+                return f"cannot read the argument {word!r}; arguments have the form key=value"
+            quoted = value.replace("'", "\\'")
+            remedy = f"{key}='{quoted}'"
+            return f'cannot read {word}: put the value in quotes, twice for the shell: "{remedy}"'
+    return ""
 
 
 def describe(error: BaseException) -> str:

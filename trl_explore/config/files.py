@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,8 @@ from omegaconf import DictConfig, OmegaConf
 _PACKAGE = Path(__file__).resolve().parents[1]
 CONF = next(p for p in (_PACKAGE / "conf", _PACKAGE.parent / "conf") if p.is_dir())
 """The folder of the configuration files: inside an installed package, next to it in a checkout."""
+_folders = [CONF]
+"""The folders that are searched for a file, the user's own (``--config-dir``) first."""
 GROUPS = (
     "env", "policy", "strategy", "loss", "correction", "baseline", "optimizer", "collector",
 )  # fmt: skip
@@ -30,6 +32,21 @@ STRATEGY = "strategy@"
 
 class ConfigError(ValueError):
     """A configuration that cannot be run; the message is one line."""
+
+
+def search_in(folders: Iterable[Path]) -> None:
+    """Search these folders for configuration files, in this order, and then ``conf/``."""
+    wanted = [*dict.fromkeys([*(path.resolve() for path in folders), CONF])]
+    if wanted != _folders:
+        _folders[:] = wanted
+        load.cache_clear()
+        _defaults.cache_clear()
+
+
+def files_of(group: str) -> dict[str, Path]:
+    """The files of a group by name; a user's own file replaces that of ``conf/``."""
+    found = (path for folder in reversed(_folders) for path in (folder / group).glob("*.yaml"))
+    return {path.stem: path for path in sorted(found, key=lambda path: path.stem)}
 
 
 def defaults_of(choices: Mapping[str, str | None]) -> DictConfig:
@@ -58,9 +75,9 @@ def _defaults(items: tuple[tuple[str, str | None], ...]) -> DictConfig:
 
 @cache
 def load(name: str) -> DictConfig:
-    """A file of ``conf/``, named without extension; empty if it does not exist. Do not modify."""
-    path = CONF / f"{name}.yaml"
-    content = OmegaConf.load(path) if path.is_file() else OmegaConf.create()
+    """A configuration file, named without extension; empty if there is none. Do not modify."""
+    paths = [path for folder in _folders if (path := folder / f"{name}.yaml").is_file()]
+    content = OmegaConf.load(paths[0]) if paths else OmegaConf.create()
     assert isinstance(content, DictConfig)
     return content
 

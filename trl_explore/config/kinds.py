@@ -7,7 +7,7 @@ from typing import Any
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 
-from trl_explore.config.files import CONF, ConfigError
+from trl_explore.config.files import ConfigError, files_of
 
 SERVING = ("strategy", "policy")
 """The groups whose options support one kind of action, the attribute ``actions`` of the class."""
@@ -39,8 +39,8 @@ def check_actions(config: DictConfig, kind: str) -> None:
 
 def options(group: str, kind: str) -> list[str]:
     """The options of a group that support a kind of action."""
-    files = sorted((CONF / group).glob("*.yaml"))
-    found = ((path.stem, _constructor(OmegaConf.load(path))) for path in files)
+    files = files_of(group).items()
+    found = ((name, _constructor(OmegaConf.load(path))) for name, path in files)
     return [name for name, constructor in found if getattr(constructor, "actions", None) == kind]
 
 

@@ -6,6 +6,7 @@ import hashlib
 import re
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any, cast
 from urllib.parse import quote
 
@@ -19,6 +20,7 @@ from trl_explore.config.files import (
     load,
     same,
     schedules_of,
+    search_in,
     strategies_of,
 )
 
@@ -27,19 +29,23 @@ ABSENT = object()
 
 
 def register_resolvers() -> None:
-    """Register ``${sweep_name:}`` and ``${job_name:}`` with OmegaConf."""
-    OmegaConf.register_new_resolver("sweep_name", _sweep_name, replace=True)
+    """Register ``${sweep_folder:}`` and ``${job_name:}`` with OmegaConf."""
+    OmegaConf.register_new_resolver("sweep_folder", _sweep_folder, replace=True)
     OmegaConf.register_new_resolver("job_name", _job_name, replace=True)
 
 
 def _choices(root: DictConfig) -> Mapping[str, str | None]:
+    """The choices of a job; a worker learns here where the files of the configuration are."""
+    search_in(Path(s.path) for s in root.hydra.runtime.config_sources if s.schema == "file")
     return root.hydra.runtime.choices
 
 
-def _sweep_name(*, _root_: DictConfig) -> str:
-    if not str(_root_.output_dir or "").strip():
+def _sweep_folder(*, _root_: DictConfig) -> str:
+    output = str(_root_.output_dir or "").strip()
+    if not output:
         raise ConfigError("output_dir must be the name of a folder, got an empty value")
-    return _choices(_root_).get("experiment") or "train"
+    expanded = Path(output).expanduser() if output.startswith("~") else Path(output)
+    return str(expanded / (_choices(_root_).get("experiment") or "train"))
 
 
 def _job_name(*, _root_: DictConfig) -> str:
@@ -69,13 +75,20 @@ def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
         usual = default is not ABSENT and same(value, default)
         if key in INERT or (usual and not shown_always):
             continue
-        if isinstance(default, float) and isinstance(value, int):
-            value = float(value)
-        parts.append(f"{key.removeprefix('strategy.')}={value}")
+        parts.append(f"{key.removeprefix('strategy.')}={_in_kind_of(default, value)}")
     name = quote(",".join(parts), safe="=,.+-_[] ").replace(" ", "")
     if len(name) <= 200:
         return name
     return f"{name[:180]}-{hashlib.sha256(name.encode()).hexdigest()[:12]}"
+
+
+def _in_kind_of(default: Any, value: Any) -> Any:
+    """A whole number as the default writes it, so that 100 and 100.0 have one name."""
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(default, float) and isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value
 
 
 @cache

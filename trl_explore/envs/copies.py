@@ -1,32 +1,34 @@
-"""Copies of an environment, in this process or distributed over several.
+"""Copies of an environment: what they return is checked, and their errors name the place.
 
-Processes are for environments with slow steps. Threads would not help: Box2D holds the
-interpreter lock (GIL) while it steps.
+An environment is somebody else's code. Everything that it returns passes through ``Copies`` before
+the program uses it: no value of a wrong type or shape is converted in silence.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import pickle
-import subprocess
-import sys
-import weakref
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from math import isfinite
+from numbers import Real
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
+from gymnasium.wrappers import OrderEnforcing, TimeLimit
 from numpy.typing import NDArray
 
-from trl_explore.checks import first_line
-from trl_explore.numerics.streams import Stream, generator
+from trl_explore.envs.flattening import writer
+from trl_explore.envs.seeding import Source
+from trl_explore.numerics.streams import Stream
 
 Make = Callable[[], gym.Env]
-Rows = NDArray[np.int64]
+
+MAX_REWARD = 1e30
+"""The largest magnitude of a reward, so that sums over an episode are finite as float32."""
+
+
+class EnvError(ValueError):
+    """An environment that fails or returns what it must not; one line with trial and episode."""
 
 
 @dataclass(frozen=True)
@@ -62,285 +64,212 @@ class Signals:
         """A view of the copies 0, k, 2k, ..."""
         return Signals(*(getattr(self, field.name)[::k] for field in fields(self)))
 
-    def rows(self, rows: Rows) -> tuple[NDArray[Any], ...]:
+    def rows(self, rows: Sequence[int]) -> tuple[NDArray[Any], ...]:
         """The columns of the copies ``rows``."""
         return tuple(getattr(self, field.name)[rows] for field in fields(self))
 
-    def put(self, rows: Rows, columns: tuple[NDArray[Any], ...]) -> None:
+    def put(self, rows: Sequence[int], columns: tuple[NDArray[Any], ...]) -> None:
         """Write the columns of the copies ``rows``."""
         for field, column in zip(fields(self), columns, strict=True):
             getattr(self, field.name)[rows] = column
 
-    def read_mask(self, row: int, info: dict[str, Any]) -> None:
-        """Read a copy's mask from ``info["action_mask"]``, if the environment has masks."""
-        if not self.mask.shape[1]:
-            return
-        mask = np.asarray(info.get("action_mask"), dtype=np.bool_)
-        if mask.shape != self.mask.shape[1:]:
-            raise ValueError(
-                "info['action_mask'] must have one value for each of "
-                f"{self.mask.shape[1]} actions, got {info.get('action_mask')!r}"
-            )
-        self.mask[row] = mask
-
 
 class Copies:
-    """n copies of an environment, built on first use.
+    """n copies of an environment, built on first use, which write into one set of signals.
 
     Args:
+        id: gymnasium id, for messages.
         make: the constructor.
-        n: the number of copies.
+        signals: where the copies write.
         first: the first copy, if it exists already.
     """
 
-    def __init__(self, make: Make, n: int, first: gym.Env | None = None) -> None:
-        self.make, self.n = make, n
-        self.envs = [] if first is None else [first]
+    def __init__(self, id: str, make: Make, signals: Signals, first: gym.Env | None = None) -> None:
+        self.id, self.make, self.signals = id, make, signals
+        self.envs: list[gym.Env] = []
+        self._sources: list[Source] = []
+        self._steps: list[Callable[[Any], Any]] = []
+        self._limits: list[int] = []
+        self._ages: list[int] = []
+        self._rows = list(signals.observation)
+        self._places = [(0, 0)] * len(self._rows)
+        self._masked = signals.mask.shape[1]
+        if first is not None:
+            self._add(first)
+
+    def _add(self, env: gym.Env) -> None:
+        self.envs.append(env)
+        self._sources.append(Source(env))
+        if not hasattr(self, "_write"):
+            self._write = writer(env.observation_space)
+        step, limit = _without_wrappers(env)
+        self._steps.append(step)
+        self._limits.append(limit)
+        self._ages.append(0)
 
     def reset(
         self,
-        rows: Rows,
-        trials: NDArray[np.int64],
-        episodes: NDArray[np.int64],
+        rows: Sequence[int],
+        trials: Sequence[int],
+        episodes: Sequence[int],
         seed: int,
         stream: Stream,
-        signals: Signals,
     ) -> None:
         """Begin an episode in the copies ``rows`` [m], each with its trial's random stream."""
-        while len(self.envs) < self.n:
-            self.envs.append(self.make())
-        for row, trial, episode in zip(
-            rows.tolist(), trials.tolist(), episodes.tolist(), strict=True
-        ):
-            env = self.envs[row]
-            env.unwrapped.np_random = generator(seed, stream, trial, episode)
-            signals.observation[row], info = env.reset()
+        while len(self.envs) < len(self._rows):
+            self._add(self.make())
+        signals = self.signals
+        for row, trial, episode in zip(rows, trials, episodes, strict=True):
+            self._places[row] = trial, episode
+            try:
+                answer = self._sources[row].reset(seed, stream, trial, episode)
+            except (Exception, SystemExit) as error:
+                raise self._raised(row, error) from error
+            if type(answer) is not tuple or len(answer) != 2 or not isinstance(answer[1], dict):
+                raise self.error(
+                    row,
+                    f"returned {_kinds(answer)} from reset (an old gym API?); "
+                    "it must return observation, info",
+                )
+            observation, info = answer
+            try:
+                self._write(observation, self._rows[row])
+            except ValueError as error:
+                raise self.error(row, f"returned {error}") from None
+            self._ages[row] = 0
             signals.reward[row] = 0
             signals.terminated[row] = signals.truncated[row] = False
-            signals.read_mask(row, info)
+            if self._masked:
+                # A mask may come with steps only; the first action is then free.
+                self._read_mask(row, info) if "action_mask" in info else signals.mask[row].fill(1)
+            elif "action_mask" in info:
+                self._check_info(row, info)
 
-    def step(self, rows: Rows, actions: NDArray[Any], signals: Signals) -> None:
-        """Step the copies ``rows`` [m] with their actions [m, ...]."""
-        observation, reward = signals.observation, signals.reward
-        terminated, truncated = signals.terminated, signals.truncated
-        for row, action in zip(rows.tolist(), actions, strict=True):
-            observation[row], reward[row], terminated[row], truncated[row], info = self.envs[
-                row
-            ].step(action)
-            signals.read_mask(row, info)
+    def step(self, rows: Sequence[int], actions: Sequence[Any]) -> None:
+        """Step the copies ``rows`` [m] with their actions [m]."""
+        signals = self.signals
+        rewards, terminated, truncated = signals.reward, signals.terminated, signals.truncated
+        steps, views, ages, limits = self._steps, self._rows, self._ages, self._limits
+        write, masked = self._write, self._masked
+        for row, action in zip(rows, actions, strict=True):
+            try:
+                answer = steps[row](action)
+            except (Exception, SystemExit) as error:
+                raise self._raised(row, error) from error
+            try:
+                observation, reward, end, cut, info = answer
+            except (TypeError, ValueError):
+                raise self._wrong_step(row, answer) from None
+            if (end is not True and end is not False) or (cut is not True and cut is not False):
+                end, cut = self._flags(row, end, cut)
+            if type(reward) is not float or not -MAX_REWARD <= reward <= MAX_REWARD:
+                reward = self._reward(row, reward)
+            try:
+                write(observation, views[row])
+            except ValueError as error:
+                raise self.error(row, f"returned {error}") from None
+            ages[row] = age = ages[row] + 1
+            if age >= limits[row]:
+                cut = True
+            rewards[row] = reward
+            terminated[row] = end
+            truncated[row] = cut
+            if masked:
+                self._read_mask(row, info)
+            elif type(info) is not dict or "action_mask" in info:
+                self._check_info(row, info)
 
     def close(self) -> None:
         """Close every copy."""
         for env in self.envs:
             env.close()
 
+    # What is wrong
 
-BOOT = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from trl_explore.envs.copies import serve; serve()"
-)
+    def error(self, row: int, what: str) -> EnvError:
+        """The error of a copy that does ``what``, with the trial and the episode."""
+        trial, episode = self._places[row]
+        return EnvError(f"environment {self.id!r} {what} in episode {episode} of trial {trial}")
 
-
-class ProcessCopies(Copies):
-    """``Copies`` distributed over this process and others; the signals are the same.
-
-    Copy ``row`` is in process ``row % workers``, where 0 is this process, so that the load stays
-    even when some copies have stopped. Each trial has its own random streams, so results do not
-    depend on the process.
-
-    Args:
-        id: gymnasium id; its registration is copied to the other processes.
-        make: the constructor; it is pickled, and called in the processes.
-        n: the number of copies.
-        first: the first copy, if it exists already.
-        workers: the number of processes, at most n; they are started on first use.
-        sizes: the number of features, and of actions in a mask.
-    """
-
-    def __init__(
-        self,
-        id: str,
-        make: Make,
-        n: int,
-        first: gym.Env | None = None,
-        *,
-        workers: int,
-        sizes: tuple[int, int],
-    ) -> None:
-        super().__init__(make, len(range(0, n, workers)), first)
-        self.id, self.workers = id, workers
-        self._shares = [(len(range(k, n, workers)), sizes) for k in range(1, workers)]
-        self._processes: list[_Process] = []
-
-    def reset(
-        self,
-        rows: Rows,
-        trials: NDArray[np.int64],
-        episodes: NDArray[np.int64],
-        seed: int,
-        stream: Stream,
-        signals: Signals,
-    ) -> None:
-        """``Copies.reset``."""
-        self._call("reset", rows, (trials, episodes), (seed, stream), signals)
-
-    def step(self, rows: Rows, actions: NDArray[Any], signals: Signals) -> None:
-        """``Copies.step``."""
-        self._call("step", rows, (actions,), (), signals)
-
-    def _call(
-        self,
-        method: str,
-        rows: Rows,
-        each: tuple[NDArray[Any], ...],
-        same: tuple[Any, ...],
-        signals: Signals,
-    ) -> None:
-        """Call a method in every process that has some of the rows, and collect the signals."""
-        parts = [np.flatnonzero(rows % self.workers == k) for k in range(self.workers)]
-        calls = [(rows[part] // self.workers, *(x[part] for x in each), *same) for part in parts]
-        try:
-            self._start()
-            asked = [k for k in range(1, self.workers) if len(parts[k])]
-            for k in asked:
-                self._processes[k - 1].send((method, calls[k]))
-            getattr(super(), method)(*calls[0], signals.every(self.workers))
-            for k in asked:
-                signals.put(rows[parts[k]], self._processes[k - 1].receive())
-        except _FailedError as error:
-            self._end()
-            raise RuntimeError(
-                f"environment {self.id!r} failed in a worker process: {error}"
-            ) from None
-        except BaseException:
-            self._end()  # an unread answer would be taken for that of the next request
-            raise
-
-    def _start(self) -> None:
-        """Start the processes, unless they run; they start up in parallel."""
-        if self._processes:
-            return
-        spec = gym.registry.get(self.id)
-        for share in self._shares:
-            self._processes.append(_Process((spec, self.make, *share)))
-        for process in self._processes:
-            process.receive()
-
-    def _end(self) -> None:
-        for process in self._processes:
-            process.end()
-        self._processes = []
-
-    def close(self) -> None:
-        """Close every copy and end the processes."""
-        super().close()
-        self._end()
-
-
-class _FailedError(Exception):
-    """A failure in a process, as one line."""
-
-
-class _Process:
-    """A Python process that answers requests on its standard input.
-
-    It is a fresh interpreter that loads gymnasium only: a fork would copy torch's locks, and
-    multiprocessing's spawn would import the user's script again. It runs in a separate session, so
-    that Ctrl-C reaches the main process only. It ends when its standard input closes, even if the
-    main process is killed.
-    """
-
-    def __init__(self, setup: Any) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", BOOT, json.dumps([str(path) for path in sys.path])],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            start_new_session=True,
+    def _raised(self, row: int, error: BaseException) -> EnvError:
+        trial, episode = self._places[row]
+        message = " ".join(str(error).split())
+        return EnvError(
+            f"environment {self.id!r} raised {type(error).__name__} in episode {episode} "
+            f"of trial {trial}{f': {message}' if message else ''}"
         )
-        self.end = weakref.finalize(self, _end, self.process)
-        try:
-            self.send(setup)
-        except (pickle.PicklingError, AttributeError, TypeError) as error:
-            self.end()
-            raise ValueError(
-                "the environment cannot be pickled for a worker process "
-                f"({first_line(error)}); set workers=1"
-            ) from error
 
-    def send(self, request: Any) -> None:
-        pipe = self.process.stdin
-        assert pipe is not None
-        data = pickle.dumps(request, protocol=5)
-        try:
-            pipe.write(data)
-            pipe.flush()
-        except OSError:
-            raise _FailedError(self._death()) from None
+    def _wrong_step(self, row: int, answer: Any) -> EnvError:
+        old = type(answer) is tuple and len(answer) == 4
+        return self.error(
+            row,
+            f"returned {_kinds(answer)} from step{' (the old gym API)' if old else ''}; "
+            "it must return observation, reward, terminated, truncated, info",
+        )
 
-    def receive(self) -> Any:
-        pipe = self.process.stdout
-        assert pipe is not None
-        try:
-            failure, answer = pickle.load(pipe)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            raise _FailedError(self._death()) from None
-        if failure:
-            raise _FailedError(failure)
-        return answer
+    def _reward(self, row: int, reward: Any) -> float:
+        """A reward that is not a Python float, as one."""
+        number = None
+        zero_dimensional = type(reward) is np.ndarray and reward.shape == ()
+        if isinstance(reward, Real) or (zero_dimensional and reward.dtype.kind in "iuf"):
+            try:
+                number = float(reward)
+            except OverflowError:
+                number = float("inf")
+        if number is None:
+            shown = " ".join(repr(reward).split())[:80]
+            raise self.error(row, f"returned the reward {shown}, which is not a number,")
+        if not -MAX_REWARD <= number <= MAX_REWARD:
+            allowed = f", which is not within ±{MAX_REWARD:g}," if isfinite(number) else ""
+            raise self.error(row, f"returned the reward {number}{allowed}")
+        return number
 
-    def _death(self) -> str:
-        return f"the process ended with status {self.process.wait()}"
+    def _flags(self, row: int, terminated: Any, truncated: Any) -> tuple[bool, bool]:
+        """Flags that are not both Python bools, as such."""
+        for name, flag in (("terminated", terminated), ("truncated", truncated)):
+            if not isinstance(flag, bool | np.bool_):
+                shown = " ".join(repr(flag).split())[:80]
+                raise self.error(row, f"returned {name} = {shown}, which is not a bool,")
+        return bool(terminated), bool(truncated)
 
+    def _check_info(self, row: int, info: Any) -> None:
+        if not isinstance(info, dict):
+            raise self.error(row, f"returned info of type {type(info).__name__}, not dict,")
+        if "action_mask" in info and isinstance(self.envs[row].action_space, gym.spaces.Discrete):
+            raise self.error(
+                row, "returned an action mask, but had none at its first reset and first step,"
+            )
 
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """Close a process's pipes and wait for it; kill it if it takes too long."""
-    for pipe in (process.stdin, process.stdout):
-        assert pipe is not None
-        with suppress(OSError):  # it may have ended before it read everything
-            pipe.close()
-    try:
-        process.wait(timeout=5)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
-def serve() -> None:
-    """Main program of a worker process: requests on standard input, answers on standard output."""
-    requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # an environment's output must not mix with the answers
-    share = None
-    while True:
-        try:
-            request = pickle.load(requests)
-            if share is None:
-                share, answer = _Share(*request), None
-            else:
-                answer = share.answer(*request)
-            reply = None, answer
-        except EOFError:
-            break
-        except Exception as error:
-            reply = f"{type(error).__name__}: {first_line(error)}", None
-        try:
-            pickle.dump(reply, answers, protocol=5)
-            answers.flush()
-        except BrokenPipeError:
-            os._exit(0)  # the main process is gone: nothing left to answer or flush
-    if share is not None:
-        share.copies.close()
+    def _read_mask(self, row: int, info: Any) -> None:
+        """Read a copy's mask from ``info["action_mask"]``."""
+        mask = info.get("action_mask") if isinstance(info, dict) else None
+        array = np.asarray(mask)
+        wrong = array.shape != (self._masked,) or array.dtype.kind not in "biuf"
+        if wrong or (array.dtype.kind == "f" and not np.isin(array, (0, 1)).all()):
+            raise self.error(
+                row,
+                "must return info['action_mask'] with one value for each of "
+                f"{self._masked} actions, but returned {' '.join(repr(mask).split())[:80]}",
+            )
+        self.signals.mask[row] = array
 
 
-class _Share:
-    """The copies in this worker process."""
+def _without_wrappers(env: gym.Env) -> tuple[Callable[[Any], Any], int]:
+    """The step function inside gymnasium's time limit and order check, and the limit.
 
-    def __init__(self, spec: EnvSpec | None, make: Make, n: int, sizes: tuple[int, int]) -> None:
-        if spec is not None:
-            gym.registry.setdefault(spec.id, spec)
-        self.copies = Copies(make, n)
-        self.signals = Signals.of(n, *sizes)
+    ``Copies`` does both, for a third of the time.
+    """
+    limit = np.iinfo(np.int64).max
+    inner = env
+    if type(inner) is TimeLimit:
+        limit, inner = inner._max_episode_steps, inner.env
+    if type(inner) is OrderEnforcing:
+        inner = inner.env
+    return inner.step, int(limit)
 
-    def answer(self, method: str, call: tuple[Any, ...]) -> tuple[NDArray[Any], ...]:
-        """Call a method on some copies; returns their signals."""
-        getattr(self.copies, method)(*call, self.signals)
-        return self.signals.rows(call[0])
+
+def _kinds(answer: Any) -> str:
+    """What a method has returned, in a few words."""
+    if type(answer) is not tuple:
+        return f"one {type(answer).__name__}"
+    return f"{len(answer)} values ({', '.join(type(value).__name__ for value in answer)})"

@@ -9,8 +9,6 @@ from numbers import Real
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
-from gymnasium import spaces
 
 from trl_explore.checks import check_integer, check_number, first_line
 
@@ -24,9 +22,7 @@ def make_gym(
     kwargs: Mapping[str, Any] | None = None,
     attributes: Mapping[str, Any] | None = None,
 ) -> gym.Env:
-    """One gymnasium environment with vector observations and Discrete or Box actions.
-
-    A Box observation is flattened, a Discrete one is one-hot encoded; both are float32.
+    """One gymnasium environment.
 
     Args:
         id: gymnasium id.
@@ -38,7 +34,7 @@ def make_gym(
 
     Raises:
         ValueError: if the id is unknown, a package is not installed, an argument is rejected, an
-            attribute does not exist, or the spaces are not supported.
+            attribute does not exist.
 
     Example:
         >>> env = make_gym("CartPole-v1", attributes={"theta_threshold_radians": 0.26})
@@ -50,36 +46,7 @@ def make_gym(
     env = _construct(id, max_steps, dict(kwargs or {}))
     for name, value in (attributes or {}).items():
         _set_attribute(env.unwrapped, id, name, value)
-    _check_actions(id, env.action_space)
-    space = env.observation_space
-    if isinstance(space, spaces.Discrete) or (
-        isinstance(space, spaces.Box) and len(space.shape) != 1
-    ):
-        env = gym.wrappers.FlattenObservation(env)  # one-hot, or the array as a vector
-    elif not isinstance(space, spaces.Box):
-        raise ValueError(
-            f"environment {id!r} has observation space {space}, but must have Box or Discrete"
-        )
-    if env.observation_space.dtype != np.float32:
-        env = gym.wrappers.DtypeObservation(env, np.float32)
     return env
-
-
-def _check_actions(id: str, space: spaces.Space[Any]) -> None:
-    if isinstance(space, spaces.Discrete):
-        if space.start != 0:
-            raise ValueError(
-                f"environment {id!r} must number its actions from 0, not from {space.start}"
-            )
-    elif not (
-        isinstance(space, spaces.Box)
-        and len(space.shape) == 1
-        and np.issubdtype(space.dtype, np.floating)
-    ):
-        raise ValueError(
-            f"environment {id!r} has action space {space}, "
-            "but must have Discrete, or a Box with one dimension of floats"
-        )
 
 
 def _construct(id: str, max_steps: int | None, kwargs: dict[str, Any]) -> gym.Env:

@@ -5,18 +5,22 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from functools import partial
+from math import isfinite
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
+from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from trl_explore.checks import LARGEST, check_integer
-from trl_explore.envs.copies import Copies, Make, ProcessCopies, Signals
+from trl_explore.envs.copies import Copies, EnvError, Signals
+from trl_explore.envs.flattening import Actions, UnsupportedSpaceError, flat_observations
 from trl_explore.envs.gym import make_gym
+from trl_explore.envs.probing import has_masks
+from trl_explore.envs.processes import ProcessCopies
 from trl_explore.numerics.streams import Stream, generator
 
 MAX_WORKERS = 256
@@ -33,10 +37,13 @@ class LaneVectorEnv(VectorEnv):
     ``streams.generator(seed, stream, trial, episode)``, so that an episode depends only on the
     seed, its trial, its number and the actions.
 
-    An environment whose reset returns ``info["action_mask"]`` has masks: the lanes' ``info`` then
-    has "action_mask" [n, n_actions], bool, False where an action is not allowed. If the last
-    observation of an episode allows no action, the mask is all True, since no action is taken
-    there. Actions of a Box are clipped to its bounds.
+    Observations are vectors (``flattening.flat_observations``), and actions are what the
+    environment expects (``flattening.Actions``); what it returns is checked (``Copies``).
+
+    An environment that returns ``info["action_mask"]`` at its first reset or step has masks: the
+    lanes' ``info`` then has "action_mask" [n, n_actions], bool, False where an action is not
+    allowed. If the last observation of an episode allows no action, the mask is all True, since no
+    action is taken there.
 
     Args:
         id: gymnasium id.
@@ -84,23 +91,30 @@ class LaneVectorEnv(VectorEnv):
         self.spec = env.spec
         self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.DISABLED}
         self.autoreset_mode = AutoresetMode.DISABLED
-        self.single_observation_space = env.observation_space
-        self.single_action_space = env.action_space
-        self.observation_space = batch_space(env.observation_space, num_envs)
-        self.action_space = batch_space(env.action_space, num_envs)
+        try:
+            self.actions = Actions(env.action_space)
+            self.single_observation_space = flat_observations(env.observation_space)
+        except UnsupportedSpaceError as error:
+            raise UnsupportedSpaceError(f"environment {id!r} has {error}") from None
+        self.single_action_space = self.actions.space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
         self.first_trial = first_trial
         self.stream = stream
         self.reseed(seed)
-        n_features = (env.observation_space.shape or (0,))[0]
-        masked = _mask_size(make, env.action_space)
-        self.has_masks = masked > 0
-        self._signals = Signals.of(num_envs, n_features, masked)
+        n_features = self.single_observation_space.shape[0]
+        self.has_masks, masked = False, 0
+        if isinstance(env.action_space, Discrete):
+            self.has_masks = has_masks(id, make, self.actions, n_features, first_trial)
+            masked = int(env.action_space.n) if self.has_masks else 0
+        self.signals = Signals.of(num_envs, n_features, masked)
+        self._flat = self.signals.observation.reshape(-1)
         self._running = np.zeros(num_envs, dtype=np.bool_)
+        self._continuous = isinstance(self.single_action_space, Box)
         if self.workers == 1:
-            self._copies = Copies(make, num_envs, env)
+            self._copies = Copies(id, make, self.signals, env)
         else:
-            sizes = (n_features, masked)
-            self._copies = ProcessCopies(id, make, num_envs, env, workers=self.workers, sizes=sizes)
+            self._copies = ProcessCopies(id, make, self.signals, env, workers=self.workers)
 
     @property
     def envs(self) -> list[gym.Env]:
@@ -125,19 +139,9 @@ class LaneVectorEnv(VectorEnv):
         if seed is not None:
             self.reseed(seed)
         mask = (options or {}).get("reset_mask")
-        lanes = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
-        self._copies.reset(
-            lanes,
-            self.first_trial + lanes,
-            self.episodes[lanes],
-            self.seed,
-            self.stream,
-            self._signals,
-        )
-        self.episodes[lanes] += 1
-        self._running[lanes] = True
-        self._check()
-        return self._signals.observation.copy(), self._info()
+        self.begin(np.arange(self.num_envs) if mask is None else np.flatnonzero(mask))
+        self.check()
+        return self.signals.observation.copy(), self._info()
 
     def step(
         self, actions: NDArray[Any]
@@ -145,12 +149,11 @@ class LaneVectorEnv(VectorEnv):
         NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
     ]:
         """Step the unfinished lanes; a finished one repeats its last observation with reward 0."""
-        signals = self._signals
-        lanes = np.flatnonzero(self._running)
+        signals = self.signals
         signals.reward[:] = 0
-        self._copies.step(lanes, self._allowed(np.asarray(actions)[lanes], lanes), signals)
-        self._running &= ~(signals.terminated | signals.truncated)
-        self._check()
+        lanes = np.flatnonzero(self._running)
+        self.advance(lanes, np.asarray(actions)[lanes])
+        self.check()
         return (
             signals.observation.copy(),
             signals.reward.copy(),
@@ -159,43 +162,68 @@ class LaneVectorEnv(VectorEnv):
             self._info(),
         )
 
-    def _allowed(self, actions: NDArray[Any], lanes: NDArray[np.int64]) -> NDArray[Any]:
-        """The actions for the environment: those of a Box are clipped to its bounds."""
-        space = self.single_action_space
-        if not isinstance(space, spaces.Box):
-            return actions
-        if not np.isfinite(actions).all():
+    def begin(self, lanes: NDArray[np.int64]) -> None:
+        """Begin the episode ``episodes[k]`` in some lanes; ``signals`` then has their start.
+
+        A collector that calls ``begin`` and ``advance`` reads ``signals`` in place, and calls
+        ``check`` after each, unless it checks by itself that the observations are finite.
+
+        Raises:
+            EnvError: if an environment fails, or returns what it must not; one line with the
+                environment, the trial and the episode.
+        """
+        self._copies.reset(
+            lanes.tolist(),
+            (self.first_trial + lanes).tolist(),
+            self.episodes[lanes].tolist(),
+            self.seed,
+            self.stream,
+        )
+        self.episodes[lanes] += 1
+        self._running[lanes] = True
+
+    def advance(self, lanes: NDArray[np.int64], actions: NDArray[Any]) -> None:
+        """Step some unfinished lanes with their actions [m] or [m, n_dims]; fills ``signals``.
+
+        The rows of other lanes stay as they are.
+
+        Raises:
+            EnvError: as for ``begin``, or if an action is not finite.
+        """
+        if self._continuous and not np.isfinite(actions).all():
             k = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
             raise self._error(lanes[k], f"got the non-finite action {actions[k].tolist()}")
-        return np.clip(actions, space.low, space.high, dtype=space.dtype)
+        self._copies.step(lanes.tolist(), self.actions.read(actions))
+        signals = self.signals
+        self._running[lanes] = ~(signals.terminated[lanes] | signals.truncated[lanes])
 
     def _info(self) -> dict[str, Any]:
-        return {"action_mask": self._signals.mask.copy()} if self.has_masks else {}
+        return {"action_mask": self.signals.mask.copy()} if self.has_masks else {}
 
-    def _check(self) -> None:
-        """Reject non-finite observations and rewards, and masks that forbid every action."""
-        observation, reward, mask = (
-            self._signals.observation,
-            self._signals.reward,
-            self._signals.mask,
-        )
-        if not np.isfinite(observation).all():
-            lane, i = (int(k[0]) for k in np.nonzero(~np.isfinite(observation)))
-            raise self._error(lane, f"returned observation[{i}] = {observation[lane, i]}")
-        if not np.isfinite(reward).all():
-            lane = int(np.flatnonzero(~np.isfinite(reward))[0])
-            raise self._error(lane, f"returned the reward {reward[lane]}")
-        if self.has_masks and not (some := mask.any(axis=1)).all():
+    def check(self) -> None:
+        """Reject non-finite observations, and masks that forbid every action.
+
+        Raises:
+            EnvError: with environment, episode and trial.
+        """
+        # A sum of squares is fast, and not finite if one of them is not.
+        if not isfinite(self._flat.dot(self._flat)):
+            observation = self.signals.observation
+            finite = np.isfinite(observation)
+            if not finite.all():
+                lane, i = (int(k[0]) for k in np.nonzero(~finite))
+                raise self._error(lane, f"returned observation[{i}] = {observation[lane, i]}")
+        if self.has_masks and not (some := self.signals.mask.any(axis=1)).all():
             stuck = np.flatnonzero(~some & self._running)
             if len(stuck):
                 raise self._error(
                     int(stuck[0]), "returned an action mask that forbids every action"
                 )
-            mask[~some] = True
+            self.signals.mask[~some] = True
 
-    def _error(self, lane: int, what: str) -> ValueError:
+    def _error(self, lane: int, what: str) -> EnvError:
         trial, episode = self.first_trial + int(lane), int(self.episodes[lane]) - 1
-        return ValueError(f"environment {self.id!r} {what} in episode {episode} of trial {trial}")
+        return EnvError(f"environment {self.id!r} {what} in episode {episode} of trial {trial}")
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close every lane."""
@@ -214,17 +242,3 @@ def processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def _mask_size(make: Make, space: spaces.Space[Any]) -> int:
-    """The number of actions in an environment's masks; 0 if it has none.
-
-    Only a reset can tell. It uses a separate copy, so that all lanes start from the same state.
-    """
-    if not isinstance(space, spaces.Discrete):
-        return 0
-    env = make()
-    env.unwrapped.np_random = generator(0, Stream.ENVIRONMENT, 0)
-    _, info = env.reset()
-    env.close()
-    return int(space.n) if "action_mask" in info else 0

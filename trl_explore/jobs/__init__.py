@@ -3,7 +3,7 @@
     trials.csv              one row per trial
     episodes.csv            one row per episode, by iteration, then trial (unless episodes=false);
                             with diagnostics=true, also the diagnostics of the iteration
-    evaluations.csv         one row per episode of the greedy policy, if it was evaluated
+    evaluations.csv         one row per episode of the policy without its strategy, if evaluated
     scalars/*.csv           learning curves averaged over the trials (TorchRL's CSVLogger)
     weights.safetensors     the final policy of every trial
     run.json                configuration, versions, seed, wall time; written last

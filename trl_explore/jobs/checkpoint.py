@@ -204,8 +204,8 @@ class Store:
                 found.append(from_bytes(path.read_bytes()))
             except FileNotFoundError:
                 continue
-            except DamagedError as error:
-                damaged.append(f"{path}: {error}")
+            except (DamagedError, OSError) as error:
+                damaged.append(f"{path}: {first_line(error)}")
         for header, state in sorted(found, key=lambda pair: -pair[0]["store"]["number"]):
             own = header["store"]
             try:
@@ -217,6 +217,13 @@ class Store:
             self._seal = bytes.fromhex(own["seal"])
             return Checkpoint(header, state, history), damaged
         return None, damaged
+
+    def lost(self) -> bool:
+        """Whether the history that earlier checkpoints rely on is no longer there."""
+        try:
+            return (self.folder / HISTORY).stat().st_size < self._length
+        except OSError:
+            return self._length > 0
 
     def save(self, header: Mapping[str, Any], state: Packed, history: Arrays) -> None:
         """Write a checkpoint; if that fails, the earlier ones stay valid.

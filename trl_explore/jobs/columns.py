@@ -7,6 +7,7 @@ file is rejected.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -222,7 +223,7 @@ def read_table(
 def _fields(path: Path) -> list[list[str]]:
     """The fields of every line."""
     try:
-        text = path.read_bytes().decode()
+        text = read_file(path).decode()
     except FileNotFoundError:
         raise ResultsError(f"{path}: missing") from None
     except OSError as error:
@@ -232,6 +233,17 @@ def _fields(path: Path) -> list[list[str]]:
     if not text.endswith("\n"):
         raise ResultsError(f"{path}: truncated: the last line has no newline")
     return [line.removesuffix("\r").split(",") for line in text[:-1].split("\n")]
+
+
+def read_file(path: Path) -> bytes:
+    """The contents of a regular file; a pipe in a folder of results would block its reader.
+
+    Raises:
+        OSError: if the file cannot be read, or is not a regular file.
+    """
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    return path.read_bytes()
 
 
 def write_whole(path: Path, data: bytes, tag: str = "") -> None:

@@ -6,6 +6,7 @@ import json
 import math
 import os
 from collections.abc import Iterable, Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,7 @@ from trl_explore.jobs.columns import (
     TRIALS,
     WEIGHTS,
     ResultsError,
+    read_file,
     read_table,
 )
 from trl_explore.statistics.outcomes import Outcomes
@@ -49,7 +51,7 @@ def read_run(job: Path) -> dict[str, Any]:
         ResultsError: if it is missing or invalid.
     """
     try:
-        run = json.loads((job / RUN).read_text(encoding="utf-8"))
+        run = json.loads(read_file(job / RUN))
         if missing := RUN_KEYS.keys() - set(run):
             raise KeyError(*sorted(missing))
         _check_kinds(run, RUN_KEYS)
@@ -161,10 +163,10 @@ def read_weights(job: Path) -> dict[str, NDArray[Any]]:
         ResultsError: if the file is missing or damaged.
     """
     from safetensors import SafetensorError
-    from safetensors.numpy import load_file
+    from safetensors.numpy import load
 
     try:
-        return load_file(job / WEIGHTS)
+        return load(read_file(job / WEIGHTS))
     except FileNotFoundError:
         raise ResultsError(f"{job / WEIGHTS}: missing") from None
     except (SafetensorError, OSError) as error:
@@ -219,7 +221,7 @@ def _read_csv(path: Path, columns: Iterable[str]) -> pd.DataFrame:
     import pandas as pd
 
     try:
-        frame = pd.read_csv(path)
+        frame = pd.read_csv(BytesIO(read_file(path)))
     except FileNotFoundError:
         raise ResultsError(f"{path}: missing") from None
     except (OSError, ValueError) as error:

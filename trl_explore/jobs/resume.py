@@ -105,6 +105,9 @@ class Saver:
         progress = {"iteration": iteration, "seconds": self.elapsed()}
         with self.interrupts.held():
             try:
+                if self.store.lost():
+                    self.store.clear()
+                    self.saved = 0
                 history = self.trainer.history(self.saved, iteration)
                 self.store.save({**self.header, **progress}, state, history)
                 self.saved = iteration

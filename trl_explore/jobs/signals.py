@@ -16,6 +16,9 @@ PATIENCE = 0.8
 """Seconds to wait for the end of an iteration before it is interrupted."""
 TWICE = 0.3
 """A second signal within this time [s] counts as a repeat of the first; ``timeout`` sends two."""
+LOOK = 0.5
+"""Seconds between two checks that the parent process is alive."""
+WATCH = "end with parent"
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 
 
@@ -86,8 +89,27 @@ def leave_on_signals() -> None:
 
 def leave(error: Interrupted) -> NoReturn:
     """Print why the process ends, and end it with the conventional status."""
+    for signum in _served():  # a second signal must not interrupt this
+        signal.signal(signum, signal.SIG_IGN)
     print(f"{error}{error.where}; run the same command to resume", file=sys.stderr, flush=True)
     os._exit(error.status)
+
+
+def end_with_parent() -> None:
+    """End this process soon after its parent has ended, as on SIGTERM; idempotent.
+
+    A process of joblib's pool would wait for more work.
+    """
+
+    def watch(parent: int) -> None:
+        while os.getppid() == parent:
+            time.sleep(LOOK)
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(2 * PATIENCE)
+        os._exit(128 + signal.SIGTERM)
+
+    if not any(thread.name == WATCH for thread in threading.enumerate()):
+        threading.Thread(target=watch, args=[os.getppid()], name=WATCH, daemon=True).start()
 
 
 def _served() -> list[signal.Signals]:

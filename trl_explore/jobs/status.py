@@ -16,7 +16,7 @@ from typing import Any
 
 from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
 from trl_explore.jobs.checkpoint import SLOTS
-from trl_explore.jobs.columns import EPISODES, RUN, TRIALS, ResultsError
+from trl_explore.jobs.columns import EPISODES, RUN, TRIALS, ResultsError, read_file
 from trl_explore.jobs.console import text_table
 from trl_explore.jobs.lock import NAME as LOCK
 from trl_explore.jobs.lock import is_locked
@@ -141,10 +141,10 @@ def _job(folder: Path) -> JobStatus | None:
 
 def _json(path: Path) -> dict[str, Any] | None:
     """The contents of a file; None if it does not exist, empty if it is not readable."""
-    try:
-        content = json.loads(path.read_bytes())
-    except FileNotFoundError:
+    if not path.exists():
         return None
+    try:
+        content = json.loads(read_file(path))
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
@@ -166,6 +166,8 @@ def _newness(header: dict[str, Any]) -> tuple[float, int]:
 def _header(path: Path) -> dict[str, Any]:
     """The header of a checkpoint, from the first bytes of the file."""
     try:
+        if not path.is_file():
+            return {}
         with path.open("rb") as file:
             size = int.from_bytes(file.read(8), "little")
             metadata = json.loads(file.read(size))["__metadata__"] if size <= HEAD else {}

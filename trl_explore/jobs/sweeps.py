@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from trl_explore.jobs.columns import RUN, write_whole
+from trl_explore.jobs.columns import RUN, read_file, write_whole
 
 SWEEP, FAILED, MULTIRUN = "sweep.json", ".failed", "multirun.yaml"
 
@@ -29,6 +29,9 @@ def begin_sweep(sweep: Path, jobs: Sequence[str]) -> None:
 def end_sweep(sweep: Path) -> None:
     """Remove records that are no longer needed, and the folder if it holds no job."""
     with suppress(OSError):
+        for path in [*sweep.glob(".*.tmp"), *(sweep / FAILED).glob(".*.tmp")]:
+            if _is_left(path):
+                path.unlink(missing_ok=True)
         if not _unfinished(sweep, read_asked(sweep)):
             (sweep / SWEEP).unlink(missing_ok=True)
         if {path.name for path in sweep.iterdir()} <= {SWEEP, FAILED, MULTIRUN}:
@@ -46,7 +49,7 @@ def _unfinished(sweep: Path, jobs: Iterable[str]) -> list[str]:
 def read_asked(sweep: Path) -> list[str]:
     """The names of the requested jobs; none if the record is missing or not readable."""
     try:
-        jobs = json.loads((sweep / SWEEP).read_text(encoding="utf-8"))["jobs"]
+        jobs = json.loads(read_file(sweep / SWEEP))["jobs"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return []
     return [job for job in jobs if is_name(job)] if isinstance(jobs, list) else []
@@ -79,10 +82,24 @@ def read_failures(sweep: Path) -> dict[str, str]:
             if path.suffix != ".json":
                 continue
             try:
-                reasons[path.stem] = str(json.loads(path.read_text(encoding="utf-8"))["reason"])
+                reasons[path.stem] = str(json.loads(read_file(path))["reason"])
             except (OSError, ValueError, KeyError, TypeError, RecursionError):
                 reasons[path.stem] = "the reason is not readable"
     return reasons
+
+
+def _is_left(temporary: Path) -> bool:
+    """Whether the process that wrote a temporary file of this module was killed."""
+    pid = temporary.name.split(".")[1]
+    if not pid.isdigit() or int(pid) == os.getpid():
+        return False
+    try:
+        os.kill(int(pid), 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        pass
+    return False
 
 
 def _write(path: Path, content: object) -> None:

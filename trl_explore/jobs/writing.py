@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trl_explore.jobs.code import code_digests
 from trl_explore.jobs.columns import (
     EPISODE_COLUMNS,
     EPISODES,
@@ -117,6 +118,7 @@ def write_job(
         "files": _record(job),
         "config": config,
         "versions": versions(),
+        "code": code_digests(config),
         "machine": {"system": platform.system(), "processor": platform.machine()},
     }
     _sync(job)

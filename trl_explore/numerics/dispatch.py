@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch._C._functorch import is_functorch_wrapped_tensor  # pyright: ignore
 
 
 @cache
@@ -40,7 +41,14 @@ def serves(first: Tensor, *others: Tensor) -> bool:
     if not first.is_cpu or (dtype is not torch.float32 and dtype is not torch.float64):
         return False
     same = all([other.is_cpu and other.dtype is dtype for other in others])  # noqa: C419 - faster
-    return same and has_numba()
+    return same and has_numba() and not transformed(first, *others)
+
+
+def transformed(*tensors: Tensor) -> bool:
+    """Whether torch traces or transforms a tensor (compile, vmap, grad), so it has no array."""
+    if torch.compiler.is_compiling():
+        return True
+    return any([is_functorch_wrapped_tensor(tensor) for tensor in tensors])  # noqa: C419 - faster
 
 
 def check_frames(frames: torch.Size, **columns: Tensor) -> None:

@@ -16,24 +16,21 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives.common import LossModule
 
 from trl_explore.checks import check_flag, check_integer, check_number, settle
-from trl_explore.numerics.score import (
-    formula_serves,
-    linear_softmax_gradient,
-    linear_softmax_reinforce,
-    linear_softmax_score,
-)
+from trl_explore.numerics.score import linear_softmax_score
 from trl_explore.objectives.baselines import Baseline, Constant, as_baseline
 from trl_explore.objectives.corrections import Correction, NoCorrection, log_ratio_of
-from trl_explore.objectives.episodes import Episodes, entry, read_episodes
+from trl_explore.objectives.episodes import Episodes, read_episodes
+from trl_explore.objectives.linear_softmax import closed_form, linear_weight_key
 from trl_explore.policies import LinearPolicy
 from trl_explore.policies.actor import (
     GaussianActor,
+    fitted,
     frame_distribution,
-    has_linear_softmax,
+    frame_log_prob,
     is_softmax,
-    score_sum,
 )
 from trl_explore.strategies import BaseStrategy
+from trl_explore.strategies.strategy import read
 
 REDUCTIONS = ("sum", "mean", "none")
 EPS = 1e-8
@@ -51,20 +48,25 @@ class ReinforceLoss(LossModule):
     ``discount_steps``. A correction changes A_t or replaces π by μ (``corrections``). Adam cancels
     a constant factor such as w, apart from its ε = 1e-8.
 
-    An episode ends where "done" is true. *Terminated*, *truncated* and cut-off episodes are treated
-    alike: the return ends with the last reward, without bootstrapping. Data have one of two
-    layouts:
+    An episode ends where "done" is true, and where ("collector", "traj_ids") changes. *Terminated*,
+    *truncated* and cut-off episodes are treated alike: the return ends with the last reward,
+    without bootstrapping. Data have one of two layouts:
 
     * flat [frames], the episodes of one or more trials one after another ("trial" is the trial of
       each frame; without it, all frames belong to one trial);
-    * [batch, time] as TorchRL's collectors deliver it (without "trial", every row is a trial).
-      Frames that TorchRL marks as padding, in ("collector", "mask"), are ignored.
+    * [*rows, time] as TorchRL's collectors deliver it (without "trial", every row is a trial; with
+      ``trials=1``, all rows are one). Frames that TorchRL marks as padding, in ("collector",
+      "mask"), are ignored.
 
-    Reads the actor's inputs, "action", ("next", "reward") and ("next", "done") [*batch, 1], "trial"
-    [*batch] int64 and, if a correction needs it, "action_log_prob" [*batch]. Returns "loss_actor"
-    (reduced) and "trial_loss" [trials], the same losses before reduction, detached; with a learned
-    baseline also "loss_value" (reduced). After the update, ``step`` updates the baseline with the
-    same data.
+    Reads the actor's inputs, "action" (indices or one-hot for a categorical π), ("next", "reward")
+    and ("next", "done") [*batch, 1], "trial" [*batch] int64 and, if a correction needs it,
+    "action_log_prob" [*batch]; ``set_keys`` renames them. If the reward of a group of agents, such
+    as ("agents", "reward"), is [*batch, agents, 1], every agent has its own returns and baseline,
+    and L_k is the sum over the agents; one reward for all belongs to their joint action.
+
+    Returns "loss_actor" (reduced) and "trial_loss" [trials], the same losses before reduction,
+    detached; with a learned baseline also "loss_value" (reduced). After the update, ``step``
+    updates the baseline with the same data.
 
     Args:
         actor_network: the target policy π, any ``ProbabilisticActor``.
@@ -83,13 +85,13 @@ class ReinforceLoss(LossModule):
         strategy: the strategy that collects the data, with the present parameters and in the
             present iteration; some corrections need it or reject it. Where it is the target policy
             by construction (softmax at T = 1), importance weights are exactly 1.
-        trials: the number of trials; None: the largest "trial" in the data plus one.
+        trials: the number of trials; None: the largest "trial" in the data plus one, or the rows.
         reduction: reduction over the trials' losses: "sum", "mean" or "none".
         functional: as in TorchRL: whether the parameters are copied into the loss's own container.
 
     Raises:
-        ValueError: if a number is out of range, the reduction is unknown, or the correction does
-            not support the strategy.
+        ValueError: if an argument is out of range or of another kind, the correction does not
+            support the strategy, or an entry of the data does not fit.
         KeyError: if the data miss an entry.
 
     Example:
@@ -120,6 +122,7 @@ class ReinforceLoss(LossModule):
         done: NestedKey = "done"
         trial: NestedKey = "trial"
         sample_log_prob: NestedKey = "action_log_prob"
+        traj_ids: NestedKey = ("collector", "traj_ids")
 
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
@@ -158,7 +161,7 @@ class ReinforceLoss(LossModule):
         self.gamma = check_number("gamma", gamma, 0, 1)
         self.weight = check_number("weight", weight, 0, low_open=True)
         self.baseline = as_baseline(baseline)
-        self.correction = correction or NoCorrection()
+        self.correction = _checked(actor_network, correction or NoCorrection())
         self.discount_steps = check_flag("discount_steps", discount_steps)
         self.normalize_advantage = check_flag("normalize_advantage", normalize_advantage)
         self.entropy_coeff = check_number("entropy_coeff", entropy_coeff, 0)
@@ -173,8 +176,12 @@ class ReinforceLoss(LossModule):
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}")
         self.reduction = reduction
         self._weight_key = linear_weight_key(actor_network)
+        self._mask_key = actor_network.action_mask_key if is_softmax(actor_network) else None
         apart = self.entropy_coeff > 0 or reduction == "mean"
         self._has_closed_form = self.closed_form and self._weight_key is not None and not apart
+        plain = self.correction.leaves_returns and not (discount_steps or normalize_advantage)
+        fixed = self.baseline.value if isinstance(self.baseline, Constant) else None
+        self._constant: float | None = fixed if plain else None  # if A_t is exactly G_t − b
         if functional:
             self.convert_to_functional(actor_network, "actor_network", create_target_params=False)
         else:
@@ -204,29 +211,30 @@ class ReinforceLoss(LossModule):
     def _forward_value_estimator_keys(self, **kwargs: NestedKey) -> None:
         self._in_keys = None
 
-    @dispatch  # pyright: ignore[reportArgumentType] - also a decorator
+    @dispatch(auto_batch_size=False)
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The losses of a batch of episodes."""
-        episodes, _ = self._episodes(tensordict)
-        frames, trial, trials = episodes.tensordict, episodes.trial, episodes.trials
-        action = entry(frames, self.tensor_keys.action)
+        episodes = self._episodes(tensordict)
+        frames, action = episodes.tensordict, read(episodes.tensordict, self.tensor_keys.action)
         with self._with_parameters():
             factor = self._factor(episodes, action)
             weight = self._linear_weight(episodes)
             if weight is None:
-                score = score_sum(self.actor_network, frames, action, factor, trial, trials)
+                log_prob = episodes.flat(frame_log_prob(self.actor_network, frames, action))
+                score = episodes.by_trial(log_prob * factor)
             else:
+                action = fitted(action, episodes.trial.shape, weight.shape[1])
                 observation = frames.get("observation")
-                score = linear_softmax_score(observation, weight, action, factor, trial)
+                score = linear_softmax_score(observation, weight, action, factor, episodes.trial)
             trial_loss = score * -self.weight
             if self.entropy_coeff:
-                entropy: Tensor = frame_distribution(self.actor_network, frames).entropy()
-                bonus = episodes.by_trial(entropy.reshape(-1))
+                bonus = episodes.by_trial(episodes.flat(_entropy(self.actor_network, frames)))
                 trial_loss = trial_loss - self.weight * self.entropy_coeff * bonus
+        trial_loss = episodes.over_agents(trial_loss)
         out = {"loss_actor": self._reduce(trial_loss), "trial_loss": trial_loss.detach()}
         value_loss = self.baseline.loss(episodes)
         if value_loss is not None:
-            out["loss_value"] = self._reduce(value_loss)
+            out["loss_value"] = self._reduce(episodes.over_agents(value_loss))
         return TensorDict._new_unsafe(out, batch_size=torch.Size([]))
 
     def backward(self, tensordict: TensorDictBase) -> Tensor:
@@ -248,36 +256,32 @@ class ReinforceLoss(LossModule):
 
     def _closed_form(self, tensordict: TensorDictBase) -> Tensor | None:
         """``backward`` without a graph; None if the closed form does not apply to these data."""
-        episodes, _ = self._episodes(tensordict)
-        frames, trial = episodes.tensordict, episodes.trial
+        episodes = self._episodes(tensordict)
         weight = self._linear_weight(episodes)
-        if weight is None or not takes_gradient(weight):
+        if weight is None:
             return None
-        observation, action = frames.get("observation"), entry(frames, self.tensor_keys.action)
-        if not formula_serves(observation, weight, episodes.reward):
-            return None
-        found, scale, baseline = None, -self.weight, self.baseline
-        if type(baseline) is Constant and self._is_return_alone():
-            found = linear_softmax_reinforce(
-                observation, weight, action, episodes.reward, episodes.done, trial,
-                gamma=self.gamma, baseline=baseline.value, scale=scale,
-            )  # fmt: skip
-        if found is None:
+        action = read(episodes.tensordict, self.tensor_keys.action)
+        action = fitted(action, episodes.trial.shape, weight.shape[1])
+
+        def factor() -> Tensor:
             with self._with_parameters():
-                factor = self._factor(episodes, action)
-            if not formula_serves(observation, weight, factor):
-                return None
-            found = linear_softmax_gradient(observation, weight, action, factor, trial, scale)
+                return self._factor(episodes, action)
+
+        found = closed_form(weight, episodes, action, -self.weight, self._constant, factor)
+        if found is None:
+            return None
         trial_loss, gradient = found
         weight.grad = gradient if weight.grad is None else weight.grad.add_(gradient)
-        value_loss = baseline.loss(episodes)
+        value_loss = self.baseline.loss(episodes)
         if value_loss is not None:
             value_loss.sum().backward()
         return trial_loss
 
     def _linear_weight(self, episodes: Episodes) -> Tensor | None:
         """W [trials, n_actions, n_features] of a linear softmax; None if a mask changes π."""
-        if self._weight_key is None or "action_mask" in episodes.tensordict:
+        if self._weight_key is None or episodes.layout.agents > 1:
+            return None
+        if self._mask_key in episodes.tensordict:
             return None
         if self.functional:
             weight = self.actor_network_params.get(self._weight_key)
@@ -285,42 +289,34 @@ class ReinforceLoss(LossModule):
             weight = cast(LinearPolicy, self.actor_network[0]).weight
         return weight if len(weight) == episodes.trials else None
 
-    def _is_return_alone(self) -> bool:
-        """Whether the factor of ∇log π is exactly the return minus the baseline."""
-        more = self.discount_steps or self.normalize_advantage
-        return self.correction.leaves_returns and not more
-
     def advantage(self, tensordict: TensorDictBase) -> Tensor:
-        """The factor of ∇log π(a_t|s_t) for every frame, in the shape of the data [*batch].
+        """The factor of ∇log π(a_t|s_t) for every frame, in the shape of the data.
 
-        G_t − b_t without a correction; 0 for padding.
+        G_t − b_t [*batch] without a correction; [*batch, agents] with several rewards; 0 for
+        padding.
         """
-        episodes, mask = self._episodes(tensordict)
-        action = entry(episodes.tensordict, self.tensor_keys.action)
+        episodes = self._episodes(tensordict)
+        action = read(episodes.tensordict, self.tensor_keys.action)
         with self._with_parameters():
-            flat = self._factor(episodes, action)
-        if mask is None:
-            return flat.reshape(tensordict.shape)
-        out = flat.new_zeros(tensordict.shape)
-        out[mask] = flat
-        return out
+            return episodes.restore(self._factor(episodes, action))
 
     def step(self, tensordict: TensorDictBase) -> None:
         """Update the baseline with an iteration's data; call once, after the update."""
         if self.baseline.learns_from_data:
-            self.baseline.step(self._episodes(tensordict)[0])
+            self.baseline.step(self._episodes(tensordict))
 
     @torch.no_grad()
     def _factor(self, episodes: Episodes, action: Tensor) -> Tensor:
         """The factor of ∇log π of every frame [frames]."""
         log_ratio = None
         if self.correction.needs_log_prob:
-            behaviour = entry(episodes.tensordict, self.tensor_keys.sample_log_prob)
+            behaviour = read(episodes.tensordict, self.tensor_keys.sample_log_prob)
             actor, correction = self.actor_network, self.correction
             numerator = correction.log_numerator(actor, episodes.tensordict, action)
-            log_ratio = log_ratio_of(numerator, behaviour.reshape(-1))
+            log_ratio = log_ratio_of(episodes.flat(numerator), episodes.flat(behaviour))
             on_policy = torch.as_tensor(self._on_policy(), device=log_ratio.device)
-            per_frame = on_policy[episodes.trial] if on_policy.ndim else on_policy
+            trial = episodes.trial // episodes.layout.agents
+            per_frame = on_policy[trial] if on_policy.ndim else on_policy
             log_ratio = log_ratio.masked_fill(per_frame, 0.0)  # 1 exactly, not up to rounding
         baseline = self.baseline(episodes)
         factor = self.correction.advantage(episodes, baseline, log_ratio)
@@ -332,8 +328,7 @@ class ReinforceLoss(LossModule):
             factor = factor / (variance.sqrt() + EPS)
         return factor
 
-    def _episodes(self, tensordict: TensorDictBase) -> tuple[Episodes, Tensor | None]:
-        """Flat frames, and the mask [*batch] that selects them from the data; None: all."""
+    def _episodes(self, tensordict: TensorDictBase) -> Episodes:
         masks = self._loss_mask_keys()
         return read_episodes(tensordict, self.tensor_keys, masks, self.trials, self.gamma)
 
@@ -348,6 +343,28 @@ class ReinforceLoss(LossModule):
         return trial_loss.mean() if self.reduction == "mean" else trial_loss
 
 
+def _checked(actor: object, correction: Correction) -> Correction:
+    """The correction, if it and the actor are of the right kind."""
+    if not hasattr(actor, "get_dist"):
+        raise ValueError(
+            f"actor_network must be a ProbabilisticActor, got {type(actor).__name__}, "
+            "which gives no probability of an action"
+        )
+    if not isinstance(correction, NoCorrection):
+        raise ValueError(f"correction must be an object such as PerStep(), got {correction!r}")
+    return correction
+
+
+def _entropy(actor: ProbabilisticTensorDictSequential, frames: TensorDictBase) -> Tensor:
+    """H(π(·|s)) of every frame."""
+    distribution: Any = frame_distribution(actor, frames)
+    try:
+        return distribution.entropy()
+    except NotImplementedError:
+        name = type(distribution).__name__
+        raise ValueError(f"entropy_coeff must be 0: {name} has no entropy in closed form") from None
+
+
 def _never() -> bool:
     return False
 
@@ -360,18 +377,3 @@ def _powers(gamma: float, exponent: Tensor) -> Tensor:
     count = int(exponent.max()) if exponent.numel() else 0
     table = np.multiply.accumulate(np.array([1.0, *[gamma] * count]))
     return torch.from_numpy(table).to(exponent.device)[exponent]
-
-
-def linear_weight_key(actor: ProbabilisticTensorDictSequential) -> tuple[str, ...] | None:
-    """The key of W among the parameters of a linear softmax; None for any other π."""
-    if not has_linear_softmax(actor):
-        return None
-    weight = cast(LinearPolicy, actor[0]).weight
-    names = (tuple(name.split(".")) for name, p in actor.named_parameters() if p is weight)
-    return next(names, None)
-
-
-def takes_gradient(weight: Tensor) -> bool:
-    """Whether a gradient may be added to W without autograd, which calls hooks and goes on."""
-    hooked = weight._backward_hooks or weight._post_accumulate_grad_hooks
-    return weight.requires_grad and weight.is_leaf and not hooked

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any, TypeGuard
 
 import torch
-from tensordict import TensorDictBase, is_tensor_collection
+from tensordict import NestedKey, TensorDictBase, is_tensor_collection
 from tensordict.nn import (
     CompositeDistribution,
     ProbabilisticTensorDictSequential,
@@ -15,11 +15,11 @@ from tensordict.nn import (
 from torch import Tensor
 from torch.distributions import Categorical as TorchCategorical
 from torch.distributions import Distribution
-from torchrl.modules import IndependentNormal, ProbabilisticActor
+from torchrl.modules import IndependentNormal, MaskedCategorical, ProbabilisticActor
 
 from trl_explore.checks import holds
 from trl_explore.numerics.densities import categorical_log_prob, gaussian_entropy, gaussian_log_prob
-from trl_explore.numerics.score import lane_sum
+from trl_explore.numerics.dispatch import transformed
 from trl_explore.policies.policy import LaneLinear, has_hooks
 from trl_explore.policies.softmax import LinearPolicy
 
@@ -29,11 +29,17 @@ class SoftmaxCategorical(TorchCategorical):
 
     Args:
         logits: [*batch, n_actions], may be unnormalised.
-        mask: [*batch, n_actions] bool, False where an action is not allowed (probability 0).
+        mask: [*batch, n_actions], bool or 0 and 1; False: the action has probability 0.
+
+    Raises:
+        ValueError: if the mask has another shape than the logits, or a state has no action of
+            finite logit left.
     """
 
     def __init__(self, logits: Tensor, mask: Tensor | None = None) -> None:
-        self._unnormalised = logits if mask is None else logits.masked_fill(~mask, -torch.inf)
+        if logits.dtype in (torch.bfloat16, torch.float16):
+            logits = logits.float()  # log π has about three digits in half precision
+        self._unnormalised = logits if mask is None else masked_logits(logits, mask)
         self._num_events = logits.shape[-1]
         Distribution.__init__(self, batch_shape=logits.shape[:-1], validate_args=False)
 
@@ -68,6 +74,23 @@ class SoftmaxCategorical(TorchCategorical):
         return self._unnormalised.argmax(-1)
 
 
+def masked_logits(logits: Tensor, mask: Tensor) -> Tensor:
+    """The logits [*batch, n_actions] with −∞ where ``mask``, bool or 0 and 1, is false.
+
+    Raises:
+        ValueError: if the mask has another shape than the logits, or a state has no action of
+            finite logit left.
+    """
+    if mask.shape != logits.shape:
+        raise ValueError(
+            f"the action mask is {list(mask.shape)}, but the logits are {list(logits.shape)}"
+        )
+    logits = logits.masked_fill(~mask.bool(), -torch.inf)
+    if not transformed(logits) and bool((logits == -torch.inf).all(-1).any()):
+        raise ValueError("the action mask allows no action of finite logit in a state")
+    return logits
+
+
 class SoftmaxActor(ProbabilisticActor):
     """The target policy π = softmax(logits), on top of a module that writes "logits".
 
@@ -75,14 +98,23 @@ class SoftmaxActor(ProbabilisticActor):
     the behaviour policy is the policy followed by a strategy.
 
     Args:
-        policy: a module that writes "logits".
-        masked: whether "action_mask" [*batch, n_actions] is a required input of the actor. In the
-            loss, π obeys a mask whenever the data have one.
+        policy: a module that writes the logits.
+        masked: whether the mask [*batch, n_actions] is a required input of the actor. In the loss,
+            π obeys a mask whenever the data have one.
+        logits_key: the entry with the logits [*batch, n_actions].
+        action_mask_key: the entry with the mask.
     """
 
-    def __init__(self, policy: TensorDictModule, *, masked: bool = False) -> None:
-        self.masked = masked
-        keys = {"logits": "logits", **({"mask": "action_mask"} if masked else {})}
+    def __init__(
+        self,
+        policy: TensorDictModule,
+        *,
+        masked: bool = False,
+        logits_key: NestedKey = "logits",
+        action_mask_key: NestedKey = "action_mask",
+    ) -> None:
+        self.masked, self.logits_key, self.action_mask_key = masked, logits_key, action_mask_key
+        keys = {"logits": logits_key, **({"mask": action_mask_key} if masked else {})}
         super().__init__(
             policy,
             in_keys=keys,  # pyright: ignore[reportArgumentType] - a dict is allowed
@@ -146,68 +178,81 @@ def actor_of(policy: TensorDictModule) -> ProbabilisticActor:
 def frame_log_prob(
     actor: ProbabilisticTensorDictSequential, tensordict: TensorDictBase, action: Tensor
 ) -> Tensor:
-    """Log π(a|s) of every frame [frames], with its gradient.
+    """Log π(a|s) of every frame, with its gradient.
 
     Args:
         actor: the target policy, any ``ProbabilisticActor``.
         tensordict: flat frames [frames] with the entries that the actor reads.
-        action: [frames, ...].
+        action: [frames, ...]; for a categorical π indices, or one-hot.
+
+    Returns:
+        [frames, ...]: one number per frame, or several that belong to one action each, such as
+        those of the agents.
 
     Raises:
-        ValueError: if the actor gives more than one log-probability per frame.
+        ValueError: if the actions do not fit the distribution.
     """
     distribution: Any = frame_distribution(actor, tensordict)
-    composite = isinstance(distribution, CompositeDistribution)
-    log_prob = distribution.log_prob(tensordict if composite else action)
-    if is_tensor_collection(log_prob):
-        log_prob = torch.stack([*log_prob.values(True, True)]).sum(0)
-    if log_prob.numel() != len(tensordict):
-        raise ValueError(
-            f"log π is {list(log_prob.shape)} for {len(tensordict)} frames; a distribution over "
-            "several action dimensions must sum them (torch.distributions.Independent)"
-        )
-    return log_prob.reshape(-1)
+    if isinstance(distribution, CompositeDistribution):
+        found: Any = distribution.log_prob(tensordict)
+        if not is_tensor_collection(found):
+            return found
+        parts: Any = list(found.values(True, True))
+        if len({part.shape for part in parts}) > 1:
+            parts = [part.reshape(len(part), -1).sum(-1) for part in parts]
+        return torch.stack(parts).sum(0)
+    shape = distribution.batch_shape + distribution.event_shape
+    indexed = type(distribution) in INDEXED
+    found = fitted(action, shape, distribution.param_shape[-1] if indexed else None)
+    if not indexed or found.shape == shape:
+        log_prob = distribution.log_prob(found)
+        if log_prob.shape == distribution.batch_shape:
+            return log_prob
+    raise ValueError(
+        f"the actions are {list(action.shape)}, but those of the actor are {list(shape)}"
+    )
+
+
+INDEXED = (SoftmaxCategorical, TorchCategorical, MaskedCategorical)
+"""The distributions over n actions that take the index of the action."""
+
+
+def fitted(action: Tensor, shape: torch.Size, n_actions: int | None = None) -> Tensor:
+    """The actions in a shape, so that [n] and [n, 1] do not broadcast to [n, n].
+
+    Args:
+        action: the actions, one-hot [*shape, n_actions] or of another shape with as many numbers.
+        shape: the shape that a distribution expects.
+        n_actions: the number of actions, if they may be one-hot.
+
+    Example:
+        >>> fitted(torch.tensor([[0, 1], [1, 0]]), torch.Size([2]), 2).tolist()
+        [1, 0]
+    """
+    if action.shape == shape:
+        return action
+    if n_actions is not None and action.shape == (*shape, n_actions):
+        return action.long().argmax(-1)
+    return action.reshape(shape) if action.numel() == shape.numel() else action
 
 
 def frame_distribution(
     actor: ProbabilisticTensorDictSequential, tensordict: TensorDictBase
 ) -> Distribution:
-    """π(·|s) of every frame; it obeys an action mask if the data have one."""
+    """π(·|s) of every frame; a softmax obeys an action mask if the data have one.
+
+    Raises:
+        KeyError: if an entry is missing.
+        ValueError: if the mask allows only actions of logit −∞, or has another shape.
+    """
     # On a copy, because the actor writes to its input.
     if not is_softmax(actor):
         return actor.get_dist(tensordict.copy())
-    mask = tensordict.get("action_mask", None)
+    mask = tensordict.get(actor.action_mask_key, None)
     if actor.masked and mask is None:
-        raise KeyError("missing key: 'action_mask'")
-    return SoftmaxCategorical(actor[0](tensordict.copy()).get("logits"), mask)
-
-
-def score_sum(
-    actor: ProbabilisticTensorDictSequential,
-    tensordict: TensorDictBase,
-    action: Tensor,
-    advantage: Tensor,
-    trial: Tensor,
-    trials: int,
-) -> Tensor:
-    """S_k = Σ_{i: trial_i = k} A_i log π(a_i|s_i), whose gradient is the policy gradient.
-
-    Args:
-        actor: the target policy, any ``ProbabilisticActor``.
-        tensordict: flat frames [frames] with the entries that the actor reads.
-        action: [frames, ...].
-        advantage: A, a factor per frame [frames], without gradient.
-        trial: [frames] int64 in [0, trials).
-        trials: the number of trials.
-
-    Returns:
-        S [trials].
-
-    Raises:
-        ValueError: if the actor gives more than one log-probability per frame.
-    """
-    log_prob = frame_log_prob(actor, tensordict, action)
-    return lane_sum(log_prob * advantage, trial, trials)
+        raise KeyError(f"missing key: {actor.action_mask_key!r}")
+    logits = actor[0](tensordict.copy()).get(actor.logits_key)
+    return SoftmaxCategorical(logits, mask)
 
 
 def has_linear_softmax(actor: ProbabilisticTensorDictSequential) -> bool:

@@ -50,7 +50,12 @@ class LaneGaussian(nn.Module):
             loc, change = out.chunk(2, -1)
             return loc, _scale(self.initial_log_scale + change)
         one = observation.new_ones(*trial.shape, 1)
-        return out, lane_linear(one, _scale(self.log_scale).unsqueeze(-1), trial)
+        return out, lane_linear(one, self.scale().unsqueeze(-1), trial)
+
+    def scale(self) -> Tensor:
+        """The scale of every trial [trials, n_dims], if it does not depend on the observation."""
+        assert self.log_scale is not None
+        return _scale(self.log_scale)
 
 
 def _doubled(weights: Tensor) -> Tensor:

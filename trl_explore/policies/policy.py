@@ -48,16 +48,9 @@ def n_features(env: EnvBase) -> int:
 
 def observation_space(env: EnvBase) -> gym.Space:
     """The observation space of an environment of ``make_env`` before flattening."""
-    import gymnasium as gym
-
     from trl_explore.envs import lane_env
 
-    inner = lane_env(env).envs[0]
-    if isinstance(inner, gym.wrappers.DtypeObservation):
-        inner = inner.env
-    if isinstance(inner, gym.wrappers.FlattenObservation):
-        inner = inner.env
-    return inner.observation_space
+    return lane_env(env).envs[0].observation_space
 
 
 def is_one_hot(env: EnvBase) -> bool:

@@ -30,6 +30,7 @@ class LinearPolicy(TensorDictModule):
     Attributes:
         linear_softmax: whether the logits are W s, so that the gradient of log π has a closed
             form. False in a class that overrides ``forward``, unless the class declares it.
+        tabular: whether the states are one-hot, so that the logits of a state are a column of W.
 
     Args:
         env: the environment; its specs give the layer sizes, its batch size the number of trials.
@@ -43,6 +44,7 @@ class LinearPolicy(TensorDictModule):
 
     actions = "discrete"
     linear_softmax: ClassVar[bool] = True
+    tabular: ClassVar[bool] = False
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -88,6 +90,8 @@ class TabularPolicy(LinearPolicy):
         >>> TabularPolicy(make_env("FrozenLake-v1", trials=3)).weight.shape
         torch.Size([3, 4, 16])
     """
+
+    tabular = True
 
     def __init__(
         self, env: EnvBase, *, init: str = "zeros", seed: int = 0, first_trial: int = 0

@@ -105,5 +105,5 @@ def decide(
     error = np.sqrt(squares / (count - 1) / count)
     learned = (margin > 0) & (centre - ERRORS * error > threshold)
     hope = np.sqrt(most) * margin > ERRORS * np.sqrt(own / (n - 1))
-    undecided = ~learned & (margin > 0) & hope & (n < most)
-    return np.select([learned, undecided], [LEARNED, UNDECIDED], NOT_NOW).astype(np.int8)
+    undecided = (margin > 0) & hope & (n < most)
+    return np.where(learned, LEARNED, np.where(undecided, UNDECIDED, NOT_NOW)).astype(np.int8)

@@ -22,6 +22,7 @@ from trl_explore.statistics.outcomes import PER_TRIAL, Outcomes
 # trials and the stopping rule do not.
 AGENT_GROUPS = (
     "env", "policy", "loss", "correction", "baseline", "optimizer", "episodes_per_update",
+    "intrinsic_reward",
 )  # fmt: skip
 # Keys of an environment that do not define the agent: its default stopping rule, and the number
 # of processes.
@@ -45,7 +46,7 @@ def configuration_key(outcomes: Outcomes) -> str:
     Equal for jobs with the same agents; 1 and 1.0 are equal. Caps and thresholds are not part of
     it: a trial that is stopped later is still the same trial.
     """
-    groups = {key: outcomes.config[key] for key in AGENT_GROUPS if key in outcomes.config}
+    groups = {key: outcomes.config[key] for key in AGENT_GROUPS if outcomes.config.get(key)}
     if isinstance(env := groups.get("env"), Mapping):
         groups["env"] = {key: value for key, value in env.items() if key not in NO_AGENT}
     content = [outcomes.strategy, _canonical(outcomes.parameters), _canonical(groups)]

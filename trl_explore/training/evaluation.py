@@ -77,7 +77,7 @@ class Evaluator:
         collector: EpisodeCollector,
         *,
         every: int | str = AUTO,
-        episodes: int = 2,
+        episodes: int = 1,
         most: int = 500,
         threshold: float,
         max_iterations: int,

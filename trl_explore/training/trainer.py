@@ -15,6 +15,7 @@ from trl_explore.collectors import EpisodeCollector
 from trl_explore.numerics.compiled.cache import clock
 from trl_explore.training.diagnostics import Diagnostics
 from trl_explore.training.evaluation import Evaluator
+from trl_explore.training.intrinsic import CountReward
 from trl_explore.training.optimizers import TrialOptimizer, Views, all_finite
 from trl_explore.training.record import Trials
 
@@ -45,6 +46,7 @@ class Trainer:
         trials: the record with the stopping rule.
         evaluator: plays the policy without exploration, and decides when a trial has learned.
         diagnostics: records quantities that explain how a trial learns.
+        intrinsic: adds an intrinsic reward to the frames that the loss sees; None: none.
         on_iteration: called after each iteration with the record.
 
     Raises:
@@ -61,6 +63,7 @@ class Trainer:
         *,
         evaluator: Evaluator | None = None,
         diagnostics: Diagnostics | None = None,
+        intrinsic: CountReward | None = None,
         on_iteration: Callable[[Trials], None] | None = None,
     ) -> None:
         if loss.reduction == "mean":
@@ -78,6 +81,7 @@ class Trainer:
         self.trials = trials
         self.evaluator = evaluator
         self.diagnostics = diagnostics
+        self.intrinsic = intrinsic
         self.on_iteration = on_iteration
         self._weights = Views(optimizer.parameters)
         self.seconds = 0.0
@@ -92,6 +96,7 @@ class Trainer:
             "trials": trials,
             "evaluator": evaluator,
             "diagnostics": diagnostics,
+            "intrinsic": intrinsic,
         }
         self.parts: dict[str, Any] = {k: part for k, part in parts.items() if part is not None}
         """All parts with a state, by name; a new part of the loop must be added here."""
@@ -166,6 +171,8 @@ class Trainer:
         active = self.trials.active
         self.optimizer.zero_grad()
         frames, scores, lengths = self.collector.collect(active)
+        if self.intrinsic is not None:
+            self.intrinsic(frames)
         trial_loss = self.loss.backward(frames)
         if self.diagnostics is not None:
             self.diagnostics.record(frames, active)
@@ -178,10 +185,10 @@ class Trainer:
         if self.evaluator is not None:
             learned = self.evaluator.learned
             if self.evaluator.is_due(iteration):
-                sound, frames = active.copy(), self.trials.frames.copy()
+                sound, so_far = active.copy(), self.trials.frames.copy()
                 sound[active] = ~diverged
-                frames[active] += lengths.reshape(len(lengths), -1).sum(1)
-                self._evaluate(iteration, sound, frames)
+                so_far[active] += lengths.reshape(len(lengths), -1).sum(1)
+                self._evaluate(iteration, sound, so_far)
         self.trials.record(scores, lengths, diverged, seconds, learned)
 
     def _evaluate(

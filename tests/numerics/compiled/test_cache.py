@@ -13,41 +13,78 @@ from trl_explore.numerics.compiled import cache
 from trl_explore.numerics.compiled.cache import _CompileTime, _compiling, clock
 
 
-@pytest.fixture(params=[False, True], ids=["numba", "locked"])
-def locked(request, monkeypatch):
-    """Numba as it is, and with the lock; each writer is slow between index and data."""
+@pytest.mark.parametrize("kind", [IndexDataCacheFile, cache._Files], ids=["numba", "locked"])
+def test_two_that_compile_at_once_do_not_mix_their_code(tmp_path, monkeypatch, kind):
     save_index = IndexDataCacheFile._save_index
 
     def slow(self, overloads):
         time.sleep(0.1)
         save_index(self, overloads)
 
-    for name in ("save", "load"):
-        method = getattr(IndexDataCacheFile, name)
-        monkeypatch.setattr(IndexDataCacheFile, name, getattr(method, "__wrapped__", method))
     monkeypatch.setattr(IndexDataCacheFile, "_save_index", slow)
-    if request.param:
-        cache.lock_cache()
-    return request.param
-
-
-def test_two_that_compile_at_once_do_not_mix_their_code(tmp_path, locked):
-    files = [IndexDataCacheFile(str(tmp_path), "kernel", 1) for _ in range(2)]
+    files = [kind(str(tmp_path), "kernel", 1) for _ in range(2)]
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda k: files[k].save(f"signature {k}", f"code {k}"), range(2)))
     index = files[0]._load_index()
+    locked = kind is cache._Files
     assert (len(set(index.values())) == 2) == locked  # without the lock, one of them is lost
     if locked:
         assert [files[0].load(f"signature {k}") for k in range(2)] == ["code 0", "code 1"]
 
 
-def test_locking_twice_is_locking_once(monkeypatch):
-    for name in ("save", "load"):
-        monkeypatch.setattr(IndexDataCacheFile, name, getattr(IndexDataCacheFile, name))
-    cache.lock_cache()
-    method = IndexDataCacheFile.save
-    cache.lock_cache()
-    assert IndexDataCacheFile.save is method
+@pytest.fixture
+def double(tmp_path, monkeypatch):
+    """A function that multiplies by 2, with its cache in ``tmp_path``; new in every call."""
+    monkeypatch.setattr(nb.config, "CACHE_DIR", str(tmp_path))
+
+    def make():
+        @cache.compiled()
+        def double(x):
+            return 2 * x
+
+        return double
+
+    assert make()(3) == 6
+    return make
+
+
+def changes(data):
+    yield "empty", b""
+    yield "half", data[: len(data) // 2]
+    yield "last byte", data[:-1] + bytes([data[-1] ^ 1])
+    yield (
+        "middle byte",
+        data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 1]) + data[len(data) // 2 + 1 :],
+    )
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+def test_a_damaged_file_of_the_cache_is_replaced(tmp_path, double, suffix):
+    (path,) = tmp_path.rglob(f"*.{suffix}")
+    whole = path.read_bytes()
+    for name, data in changes(whole):
+        path.write_bytes(data)
+        first, second = double(), double()
+        assert first(3) == 6, name
+        assert not first.stats.cache_hits, name
+        assert second(3) == 6, name
+        assert second.stats.cache_hits, name
+
+
+def test_a_cache_that_cannot_be_written_is_not_used_and_one_line_says_so(
+    tmp_path, double, monkeypatch, caplog
+):
+    for path in tmp_path.rglob("*.nb?"):
+        path.unlink()
+
+    def full(self, name, data):
+        raise OSError(28, "No space left on device", name)
+
+    monkeypatch.setattr(cache, "_warned", [])
+    monkeypatch.setattr(cache._Files, "_save_data", full)
+    assert [double()(3), double()(3)] == [6, 6]
+    (record,) = caplog.records
+    assert "No space left" in record.getMessage()
 
 
 def test_a_folder_that_cannot_be_written_is_read_without_a_lock(tmp_path):
@@ -56,17 +93,20 @@ def test_a_folder_that_cannot_be_written_is_read_without_a_lock(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_code_is_compiled_where_no_cache_can_be_written(monkeypatch):
+def test_code_is_compiled_where_no_cache_can_be_written(monkeypatch, caplog):
     def refuse(function):
         raise RuntimeError("cannot cache function: no locator available")
 
     monkeypatch.setattr(cache, "SourceCache", refuse)
+    monkeypatch.setattr(cache, "_warned", [])
 
     @cache.compiled()
     def double(x):
         return 2 * x
 
     assert double(3) == 6
+    (record,) = caplog.records
+    assert "NUMBA_CACHE_DIR" in record.getMessage()
 
 
 def test_the_clock_stands_still_while_numba_compiles():

@@ -1,5 +1,5 @@
 """The fused collector: environment, policy and strategy in one compiled loop over episodes."""
 
-from trl_explore.collectors.fused.collector import FusedCollector, NotCompilableError
+from trl_explore.collectors.fused.collector import FusedCollector
 
-__all__ = ["FusedCollector", "NotCompilableError"]
+__all__ = ["FusedCollector"]

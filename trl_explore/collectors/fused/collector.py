@@ -7,7 +7,6 @@ from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
-import torch
 from gymnasium.spaces import Discrete
 from gymnasium.wrappers import (
     DtypeObservation,
@@ -19,31 +18,34 @@ from gymnasium.wrappers import (
 from numpy.typing import NDArray
 from tensordict.nn import TensorDictSequential
 from torch import nn
-from torchrl.data import OneHot
 from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
-from trl_explore.checks import holds
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
-from trl_explore.collectors.fused.columns import Columns
+from trl_explore.collectors.columns import Columns
+from trl_explore.collectors.compiling import (
+    NotCompilableError,
+    check_mixture,
+    check_weights,
+    has_mask,
+    mixture_array,
+)
 from trl_explore.collectors.fused.loop import compile_loop
-from trl_explore.collectors.fused.networks import Network, arrays, network_of
 from trl_explore.collectors.fused.scratch import scratch
+from trl_explore.collectors.networks import Network, arrays, network_of
 from trl_explore.envs import lane_env
 from trl_explore.envs.kernels import Kernel, kernel_of
 from trl_explore.numerics.streams import Stream, key
-from trl_explore.policies.policy import has_hooks, is_one_hot
+from trl_explore.policies.policy import is_one_hot
 from trl_explore.strategies import MixtureStrategy
 
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
 TRANSFORMS = (StepCounter, RewardSum)
 
+GREEDY = np.array([[1.0], [0.0], [0.0], [1.0]])
+"""The mixture without exploration; the loop does not read it then."""
 FIRST_FRAMES = 256
 """The number of frames per episode to allocate at first."""
-
-
-class NotCompilableError(ValueError):
-    """The fused collector cannot compile its arguments; the message gives the reason."""
 
 
 class FusedCollector(EpisodeCollector):
@@ -80,7 +82,8 @@ class FusedCollector(EpisodeCollector):
         self._loop = compile_loop(self.kernel, self.network, masked)
         self._outcomes = compile_loop(self.kernel, self.network, masked, records=False)
         self._unrecorded: tuple[Any, ...] = ()
-        self._columns = Columns(self.kernel.n_features, self.kernel.n_actions if masked else 0)
+        n_masks = self.kernel.n_actions if masked else 0
+        self._columns = Columns(self.kernel.n_features, n_masks=n_masks)
         self._scratch = scratch(
             self.kernel, self.network, self.lanes.max_steps, masked,
             self.trials * self.episodes_per_update,
@@ -141,22 +144,11 @@ class FusedCollector(EpisodeCollector):
             key(self.lanes.seed, self.lanes.stream),
             key(self.lanes.seed, Stream.ACTION),
             arrays(self.network, acting),
-            self._mixture(),
+            mixture_array(strategy.checked_mixture(self.trials), self.trials)
+            if explore
+            else GREEDY,
             explore,
         )
-
-    def _mixture(self) -> NDArray[np.float64]:
-        """Weights and temperature [4, 1], or [4, trials] if they differ between trials."""
-        # Compiled code does not check bounds, so the shape is validated here.
-        point = cast(MixtureStrategy, self.strategy).checked_mixture(self.trials)
-        if all(isinstance(value, float) for value in point):
-            return np.array(point).reshape(4, 1)
-        return np.stack(np.broadcast_arrays(*map(np.atleast_1d, point))).astype(np.float64)
-
-
-def has_mask(env: TransformedEnv) -> bool:
-    """Whether an environment has action masks."""
-    return env.observation_spec.get("action_mask", None) is not None
 
 
 def compilable(
@@ -180,7 +172,7 @@ def compilable(
     served = network_of(policy[0], one_hot=is_one_hot(env)) if len(policy) == 2 else None
     if served is None:
         raise NotCompilableError(f"it does not support the policy {_names(policy)}")
-    check_strategy(policy[1])
+    check_mixture(policy[1])
     try:
         kernel = kernel_of(lane)
     except LookupError as error:
@@ -212,36 +204,4 @@ def check_sizes(
         raise NotCompilableError(
             f"the kernel has (actions, features) {sizes}, but the environment has {served}"
         )
-    first = parameters[0]
-    if (network.sizes[-1], network.sizes[0]) != sizes or len(first) != lanes.num_envs:
-        raise NotCompilableError(
-            f"the weights have shape {list(first.shape)}, but (trials, actions, features) are "
-            f"{(lanes.num_envs, *sizes)}"
-        )
-    for parameter in parameters:
-        if parameter.dtype != torch.float32 or not parameter.is_cpu:
-            raise NotCompilableError(
-                "the weights must be torch.float32 on cpu, "
-                f"got {parameter.dtype} on {parameter.device}"
-            )
-
-
-def check_strategy(strategy: Any) -> None:
-    """Reject a strategy that its mixture does not describe completely.
-
-    Raises:
-        NotCompilableError: with the reason.
-    """
-    name = type(strategy).__name__
-    if not isinstance(strategy, MixtureStrategy):
-        raise NotCompilableError(f"{name} is not a mixture of argmax, softmax and uniform")
-    if not strategy.compilable or not holds(strategy, "compilable", strategy.REPLACED):
-        raise NotCompilableError(
-            f"{name} overrides one of {', '.join(MixtureStrategy.REPLACED)} "
-            "and does not declare itself compilable"
-        )
-    if has_hooks(strategy):
-        raise NotCompilableError(f"{name} has hooks")
-    keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
-    if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
-        raise NotCompilableError(f"{name} has one-hot actions or renamed entries")
+    check_weights(network, parameters, lanes.num_envs, *sizes[::-1])

@@ -49,6 +49,8 @@ class Lanes(NamedTuple):
     """Indices of the episode, see the constants below [6]."""
     value: Any
     """Reward, sum of rewards, and μ(action) [3]."""
+    score: Any
+    """Sum of rewards, in double []."""
     over: Any
     """Whether the episode has terminated []."""
 
@@ -95,9 +97,9 @@ def retire(left, max_steps, scratch, lanes):
             continue
         slot, weight_slot = lanes.place[SLOT, j], lanes.place[WEIGHT_SLOT, j]
         scratch.steps[slot], scratch.ended[slot] = frame - slot * max_steps, lanes.over[j]
-        scratch.total[slot] = lanes.value[1, j]
+        scratch.score[slot] = lanes.score[j]
         left -= 1
-        lanes.over[j] = lanes.over[left]
+        lanes.over[j], lanes.score[j] = lanes.over[left], lanes.score[left]
         for i in range(6):
             lanes.place[i, j] = lanes.place[i, left]
         for i in range(3):

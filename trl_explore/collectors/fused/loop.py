@@ -22,8 +22,8 @@ from typing import Any
 import numba as nb
 import numpy as np
 
+from trl_explore.collectors import mixing, networks
 from trl_explore.collectors.fused import lanes as lanes_module
-from trl_explore.collectors.fused import mixing, networks
 from trl_explore.collectors.fused import scratch as scratch_module
 from trl_explore.collectors.fused.lanes import (  # fmt: skip
     ACTION,
@@ -39,8 +39,6 @@ from trl_explore.collectors.fused.lanes import (  # fmt: skip
     part,
     retire,
 )
-from trl_explore.collectors.fused.mixing import compile_mixing, load_point
-from trl_explore.collectors.fused.networks import Network, compile_network
 from trl_explore.collectors.fused.scratch import (
     Scratch,
     compile_deliver,
@@ -48,6 +46,8 @@ from trl_explore.collectors.fused.scratch import (
     only_row_of,
     row_of,
 )
+from trl_explore.collectors.mixing import compile_mixing, load_point
+from trl_explore.collectors.networks import Network, compile_network
 from trl_explore.envs.kernels import Kernel
 from trl_explore.numerics.compiled import arrays, elementary, layers, philox
 from trl_explore.numerics.compiled.arrays import borrow, lane, on_stack
@@ -122,7 +122,7 @@ def _compile(  # noqa: C901 - the parts of one compiled function
     x_lanes = on_stack(f32, n_features if narrow else 1, LANES)
     probs_lanes, work_lanes = on_stack(f32, n_actions, LANES), on_stack(f32, n_actions, LANES)
     place_lanes, value_lanes = on_stack(nb.int64, 6, LANES), on_stack(f32, 3, LANES)
-    over_lanes = on_stack(nb.boolean, LANES)
+    score_lanes, over_lanes = on_stack(f64, LANES), on_stack(nb.boolean, LANES)
 
     @part
     def begin_episode(j, slot, row, max_steps, parameters, weights, mixture, scratch, lanes):
@@ -130,7 +130,8 @@ def _compile(  # noqa: C901 - the parts of one compiled function
         reset(parameters, lane(lanes.state, j), lane(lanes.rng, j))
         load(weights, row, lane(lanes.local, j), scratch.own, lanes.place[WEIGHT_SLOT, j])
         load_point(mixture, row if mixture.shape[1] > 1 else 0, lane(lanes.point, j))
-        lanes.place[SLOT, j], lanes.place[ROW, j], lanes.value[1, j] = slot, row, 0
+        lanes.place[SLOT, j], lanes.place[ROW, j] = slot, row
+        lanes.value[1, j], lanes.score[j] = 0, 0
         lanes.place[FRAME, j], lanes.place[END, j] = slot * max_steps, (slot + 1) * max_steps
 
     @part
@@ -168,6 +169,7 @@ def _compile(  # noqa: C901 - the parts of one compiled function
             )
             lanes.value[0, j] = reward
             lanes.value[1, j] += lanes.value[0, j]
+            lanes.score[j] += reward
             lanes.over[j] = terminal
         for j in range(left):
             count += lanes.over[j] | (lanes.place[FRAME, j] + 1 == lanes.place[END, j])
@@ -198,7 +200,7 @@ def _compile(  # noqa: C901 - the parts of one compiled function
         scratch = Scratch(*arrays)
         lanes = Lanes(
             state_lanes(), rng_lanes(), noise_lanes(), point_lanes(), local_lanes(), x_lanes(),
-            probs_lanes(), work_lanes(), place_lanes(), value_lanes(), over_lanes(),
+            probs_lanes(), work_lanes(), place_lanes(), value_lanes(), score_lanes(), over_lanes(),
         )  # fmt: skip
         clear(lanes)
         while done < len(trials):
@@ -229,7 +231,7 @@ def _compile(  # noqa: C901 - the parts of one compiled function
                 return done, place
             for slot in range(n):
                 deliver(scratch, columns, slot, max_steps, group[slot], place)
-                score[done] = scratch.total[slot]
+                score[done] = scratch.score[slot]
                 length[done] = scratch.steps[slot]
                 place += scratch.steps[slot]
                 done += 1

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.collectors.fused.lanes import FRAME, LANES
-from trl_explore.collectors.fused.networks import Network
+from trl_explore.collectors.networks import Network
 from trl_explore.envs.kernels import Kernel
 from trl_explore.numerics.compiled.arrays import borrow
 from trl_explore.numerics.compiled.cache import kernel_function
@@ -41,8 +41,8 @@ class Scratch(NamedTuple):
     """The number of frames [slots]."""
     ended: NDArray[np.bool_]
     """Whether the last frame terminated the episode [slots]."""
-    total: NDArray[np.float32]
-    """The score [slots]."""
+    score: NDArray[np.float64]
+    """The sum of the rewards, in double [slots]."""
     own: Any
     """``own`` and ``hidden`` of ``Network.memory``, with one weight slot per SIMD lane."""
     hidden: NDArray[np.float32]
@@ -76,7 +76,7 @@ def scratch(
         np.empty(n * n_masks, dtype=np.bool_),
         np.empty(slots, dtype=np.int64),
         np.empty(slots, dtype=np.bool_),
-        np.empty(slots, dtype=np.float32),
+        np.empty(slots, dtype=np.float64),
         own,
         hidden,
     )

@@ -50,10 +50,19 @@ The contract of the functions:
   a library, the loop over them is vectorised and several times faster (``a if c else b`` of two
   numbers is not a branch; for |x| <= 0.85 use ``elementary.cos_sin``).
 * The builder may reject an instance with ``LookupError("reason")``; ``collector=auto`` then uses
-  the TorchRL collector.
+  the stepping collector.
 """
 
-from trl_explore.envs.kernels import acrobot, cartpole, mountain_car, toy_text
+from trl_explore.envs.kernels import (
+    acrobot,
+    cartpole,
+    catch,
+    deep_sea,
+    mountain_car,
+    swing_up,
+    tables,
+    toy_text,
+)
 from trl_explore.envs.kernels.kernel import (
     CompiledEnv,
     Kernel,
@@ -70,12 +79,16 @@ __all__ = [
     "Kernel",
     "acrobot",
     "cartpole",
+    "catch",
     "check_kernel",
+    "deep_sea",
     "kernel_function",
     "kernel_of",
     "mountain_car",
     "random",
     "register_kernel",
+    "swing_up",
+    "tables",
     "tabular",
     "toy_text",
 ]

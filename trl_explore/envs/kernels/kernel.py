@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,6 +111,8 @@ def _add_sources(function: Any, files: set[str], constants: set[str], seen: set[
 
 
 _BUILDERS: dict[type[gym.Env], Callable[[Any], Kernel]] = {}
+_METHODS: dict[type[gym.Env], dict[str, Function]] = {}
+"""The methods that a class had when its kernel was registered."""
 
 
 def register_kernel(
@@ -117,11 +120,12 @@ def register_kernel(
 ) -> Callable[[Callable[[Any], Kernel]], Callable[[Any], Kernel]]:
     """Decorator: register a function that builds the kernel of an instance of ``env_class``.
 
-    The function takes the unwrapped environment and reads the kernel's parameters from it.
+    The function takes the unwrapped environment and reads the kernel's parameters from it. The
+    kernel stands for the methods that the class has now: if one is replaced later, there is none.
     """
 
     def register(builder: Callable[[Any], Kernel]) -> Callable[[Any], Kernel]:
-        _BUILDERS[env_class] = builder
+        _BUILDERS[env_class], _METHODS[env_class] = builder, _methods(env_class)
         return builder
 
     return register
@@ -133,10 +137,34 @@ def kernel_of(env: gym.Env) -> Kernel:
     Raises:
         LookupError: with the reason, if there is none or it does not support this instance.
     """
-    builder = _BUILDERS.get(type(env.unwrapped))
+    env = env.unwrapped
+    kind = type(env)
+    builder = _BUILDERS.get(kind)
     if builder is None:
-        raise LookupError(f"no kernel is registered for {type(env.unwrapped).__name__}")
-    return builder(env.unwrapped)
+        raise LookupError(f"no kernel is registered for {kind.__name__}")
+    now = _methods(kind)
+    for name, method in _METHODS.get(kind, {}).items():
+        replaced = now.get(name) is not method or name in vars(env)
+        if replaced or (kind.__module__.startswith("gymnasium.") and not _from_file(kind, method)):
+            raise LookupError(f"{kind.__name__}.{name} has been replaced")
+    return builder(env)
+
+
+def _methods(kind: type[gym.Env]) -> dict[str, Function]:
+    """The methods of a class that may change an episode, those of its parents included."""
+    found = {
+        name: getattr(kind, name, None) for name in dir(kind) if name not in ("render", "close")
+    }
+    return {name: method for name, method in found.items() if inspect.isfunction(method)}
+
+
+def _from_file(kind: type[gym.Env], method: Function) -> bool:
+    """Whether a method is written in the file of the class or of a parent.
+
+    An environment of gymnasium may have been changed before its kernel was registered.
+    """
+    files = {getattr(sys.modules.get(c.__module__), "__file__", None) for c in kind.__mro__}
+    return method.__code__.co_filename in files
 
 
 class CompiledEnv:

@@ -1,14 +1,37 @@
-"""MountainCar (Moore 1990) with the same floating-point operations as gymnasium's."""
+"""MountainCar (Moore 1990) with the same floating-point operations as gymnasium's, also sparse."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Any
 
+import numpy as np
 from gymnasium.envs.classic_control.mountain_car import MountainCarEnv
+from numpy.typing import NDArray
 
 from trl_explore.envs.kernels.kernel import Kernel, register_kernel
 from trl_explore.numerics.compiled.cache import kernel_function
 from trl_explore.numerics.compiled.philox import random
+
+
+class SparseMountainCar(MountainCarEnv):
+    """gymnasium's MountainCar with the reward 1 at the goal and 0 elsewhere.
+
+    The return says nothing before the goal has been reached for the first time, which uniformly
+    random actions take tens of thousands of steps to do. The best return is 1.
+
+    Example:
+        >>> env = SparseMountainCar()
+        >>> _ = env.reset(seed=0)
+        >>> env.step(2)[1]
+        0.0
+    """
+
+    def step(self, action: int) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """A step of MountainCar with another reward."""
+        observation, _, terminated, truncated, info = super().step(action)
+        return observation, float(terminated), terminated, truncated, info
 
 
 @kernel_function
@@ -35,6 +58,13 @@ def step(parameters, state, action, rng):
 
 
 @kernel_function
+def sparse_step(parameters, state, action, rng):
+    """A step of MountainCar; the reward is 1 at the goal, else 0."""
+    _, terminated = step(parameters, state, action, rng)
+    return 1.0 if terminated else 0.0, terminated
+
+
+@kernel_function
 def observe(parameters, state, observation):
     """Position and velocity."""
     observation[0], observation[1] = state[0], state[1]
@@ -53,3 +83,9 @@ def mountain_car(env: MountainCarEnv) -> Kernel:
         float(env.goal_velocity),
     )
     return Kernel(reset, step, observe, parameters, state_size=2, n_features=2, n_actions=3)
+
+
+@register_kernel(SparseMountainCar)
+def sparse_mountain_car(env: SparseMountainCar) -> Kernel:
+    """The kernel of MountainCar with its reward replaced."""
+    return replace(mountain_car(env), step=sparse_step)

@@ -9,42 +9,42 @@ and writing both files one step.
 
 Numba notices when the source file of a cached function changes, but not when functions from other
 files, compiled into it, change. ``compiled`` makes those files part of the key.
+
+Every file ends with a SHA-256 of its contents. A damaged file is replaced, and a cache that cannot
+be written is not used: the function is then compiled in every process, and one line says so.
 """
 
 # numba's classes are not declared:
-# pyright: reportAttributeAccessIssue=false
+# pyright: reportAttributeAccessIssue=false, reportIncompatibleMethodOverride=false
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
+import pickle
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from functools import wraps
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numba as nb
 from numba.core import event
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
+
+from trl_explore.checks import first_line
 
 NAME = ".trl_explore.lock"
+DIGEST = hashlib.sha256().digest_size
+logger = logging.getLogger(__name__)
 
 kernel_function = nb.njit(nogil=True, error_model="numpy", forceinline=True)
 """Decorator of a function that is compiled into its caller.
 
 It is not cached on disk; its caller is, because numba would not notice a change in another file.
 """
-
-
-def lock_cache() -> None:
-    """Make this process read and write numba's cache under a lock; idempotent."""
-    if hasattr(IndexDataCacheFile.save, "__wrapped__"):
-        return
-    IndexDataCacheFile.save = _locked(IndexDataCacheFile.save, exclusive=True)
-    IndexDataCacheFile.load = _locked(IndexDataCacheFile.load, exclusive=False)
 
 
 def compiled(*modules: ModuleType, key: Any = None) -> Callable[[Callable[..., Any]], Any]:
@@ -63,10 +63,12 @@ def compiled(*modules: ModuleType, key: Any = None) -> Callable[[Callable[..., A
         files = [own, *(str(module.__file__) for module in modules)]
         parts = (*(Path(file).read_bytes() for file in files), repr(key).encode())
         dispatcher = nb.njit(nogil=True, error_model="numpy")(function)
-        with suppress(RuntimeError):  # raised by numba if no cache folder is writable
+        try:
             cache = SourceCache(function)
             cache.digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
-            dispatcher._cache = cache
+        except RuntimeError:  # raised by numba if no cache folder is writable
+            cache = _NoCache()
+        dispatcher._cache = cache
         return dispatcher
 
     return decorate
@@ -80,17 +82,88 @@ class SourceCache(FunctionCache):
 
     digest = ""
 
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = _Files(self._cache_path, self._impl.filename_base, stamp)
+
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         return sig, codegen.magic_tuple(), self.digest
 
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Save the code of a signature, if that is possible."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            _warn(f"{error.filename or self._cache_path}: {error.strerror}")
 
-def _locked(method: Callable[..., Any], *, exclusive: bool) -> Callable[..., Any]:
-    @wraps(method)
-    def call(self: IndexDataCacheFile, *args: Any) -> Any:
-        with _lock(Path(self._cache_path), exclusive=exclusive):
-            return method(self, *args)
 
-    return call
+class _NoCache(NullCache):
+    """The cache of a function if no cache folder is writable."""
+
+    def save_overload(self, sig: Any, cres: Any) -> None:
+        _warn("no folder is writable; NUMBA_CACHE_DIR names one")
+
+
+def _warn(reason: str) -> None:
+    if not _warned:
+        _warned.append(reason)
+        logger.warning("compiled code is not stored, so every process compiles it (%s)", reason)
+
+
+_warned: list[str] = []
+"""The reason that was printed; the others are not."""
+
+
+class _Files(IndexDataCacheFile):
+    """The files of a function's cache, used under a lock and checked by their digests."""
+
+    def save(self, key: Any, data: Any) -> None:
+        with _lock(Path(self._cache_path), exclusive=True):
+            super().save(key, data)
+
+    def load(self, key: Any) -> Any:
+        with _lock(Path(self._cache_path), exclusive=False):
+            return super().load(key)
+
+    def _dump(self, obj: Any) -> bytes:
+        data = super()._dump(obj)
+        return data + hashlib.sha256(data).digest()
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            with Path(self._index_path).open("rb") as file:
+                if pickle.load(file) != self._version:
+                    return {}
+                stamp, names = _checked(file.read())
+        except FileNotFoundError:
+            return {}
+        except Exception as error:  # any error of pickle: the next save replaces the file
+            logger.info("%s is damaged: %s", self._index_path, first_line(error))
+            return {}
+        return names if stamp == self._source_stamp else {}
+
+    def _load_data(self, name: str) -> Any:
+        path = Path(self._data_path(name))
+        try:
+            return _checked(path.read_bytes())
+        except OSError:
+            raise
+        except Exception as error:
+            logger.info("%s is damaged: %s", path, first_line(error))
+            return None
+
+
+def _checked(data: bytes) -> Any:
+    """The object that ``_Files._dump`` has turned to bytes.
+
+    Raises:
+        ValueError: if the bytes are not those.
+    """
+    content, digest = data[:-DIGEST], data[-DIGEST:]
+    if hashlib.sha256(content).digest() != digest:
+        raise ValueError("its checksum is wrong")
+    return pickle.loads(content)
 
 
 @contextmanager

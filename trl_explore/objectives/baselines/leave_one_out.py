@@ -33,7 +33,10 @@ class LeaveOneOut(Baseline):
             return episodes.reward
         count = episodes.episodes_of_trial[episodes.trial]
         if bool((count < 2).any()):
-            raise ValueError("baseline leave_one_out needs episodes_per_update >= 2, got 1")
+            raise ValueError(
+                "baseline leave_one_out needs at least two episodes of every trial in the data: "
+                "episodes_per_update >= 2"
+            )
         steps = int(episodes.step.max()) + 1
         returns = episodes.returns
         grid = returns.new_zeros(len(episodes.owner), steps)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -38,7 +39,10 @@ class StepMean(Baseline):
     def __init__(self, decay: float = 1.0) -> None:
         super().__init__()
         self.decay = check_number("decay", decay, 0, 1)
-        self.total, self.count = torch.zeros(0, 0).double(), torch.zeros(0, 0).double()
+        self.total: Tensor
+        self.count: Tensor
+        for name in ("total", "count"):  # of the returns [trials, steps]
+            self.register_buffer(name, torch.zeros(0, 0, dtype=torch.float64))
 
     def forward(self, episodes: Episodes) -> Tensor:
         """The running mean at the frame's step [frames]."""
@@ -71,22 +75,23 @@ class StepMean(Baseline):
         if episodes.trials > trials or longest > steps:
             grown = max(episodes.trials, trials), max(longest, min(2 * steps, longest + 500), steps)
             for name in ("total", "count"):
-                new = torch.zeros(grown, dtype=torch.float64)
+                new = getattr(self, name).new_zeros(grown)
                 new[:trials, :steps] = getattr(self, name)
                 setattr(self, name, new)
 
-    def get_extra_state(self) -> dict[str, Any]:
-        """The state for ``state_dict``: the weighted sums and counts."""
-        return {"total": self.total.clone(), "count": self.count.clone()}
-
-    def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore the state from ``get_extra_state``."""
-        self.total, self.count = state["total"].clone(), state["count"].clone()
+    def _load_from_state_dict(
+        self, state_dict: Mapping[str, Any], prefix: str, *args: Any, **options: Any
+    ) -> None:
+        for name in ("total", "count"):  # which have grown with the data
+            if prefix + name in state_dict:
+                shape = state_dict[prefix + name].shape
+                setattr(self, name, getattr(self, name).new_zeros(shape))
+        super()._load_from_state_dict(state_dict, prefix, *args, **options)
 
 
 def _rank(owner: Tensor) -> Tensor:
     """The index of every episode within its trial [episodes]."""
     first = torch.ones_like(owner, dtype=torch.bool)
     first[1:] = owner[1:] != owner[:-1]
-    place = torch.arange(len(owner))
+    place = torch.arange(len(owner), device=owner.device)
     return place - torch.where(first, place, 0).cummax(0).values

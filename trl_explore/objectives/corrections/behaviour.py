@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
@@ -10,6 +12,7 @@ from torch.distributions import Categorical, Distribution
 from torchrl.modules import ProbabilisticActor
 
 from trl_explore.objectives.corrections.correction import NoCorrection
+from trl_explore.policies.actor import masked_logits
 from trl_explore.strategies import BaseStrategy, ContinuousStrategy, Strategy
 
 
@@ -53,14 +56,15 @@ class BehaviourActor(ProbabilisticActor):
     """μ(·|s) as a distribution whose parameters are those of the target policy.
 
     Args:
-        actor: the target policy, whose first module writes "logits".
+        actor: the target policy, whose modules write the logits that the strategy reads.
         strategy: gives μ for the logits; shared with the collector, so both are in the same
             iteration of their schedules.
     """
 
     def __init__(self, actor: ProbabilisticActor, strategy: Strategy) -> None:
+        networks: Any = [*actor.module[:-1], _Probs(strategy)]
         super().__init__(
-            TensorDictSequential(actor[0], _Probs(strategy)),  # pyright: ignore[reportArgumentType]
+            cast(Any, TensorDictSequential(*networks)),
             in_keys=["probs"],
             distribution_class=Categorical,
             distribution_kwargs={"validate_args": False},
@@ -71,14 +75,16 @@ class ContinuousBehaviourActor(ProbabilisticActor):
     """The density of μ(·|s) over continuous actions, with the parameters of the target policy.
 
     Args:
-        actor: the target policy, whose first module writes "loc" and "scale".
+        actor: the target policy, whose modules write the loc and scale that the strategy reads.
         strategy: gives log μ for them; shared with the collector.
     """
 
     def __init__(self, actor: ProbabilisticActor, strategy: ContinuousStrategy) -> None:
+        networks: Any = actor.module[:-1]
+        keys: Any = {"loc": strategy.loc_key, "scale": strategy.scale_key, "trial": "trial"}
         super().__init__(
-            actor[0],  # pyright: ignore[reportArgumentType]
-            in_keys=["loc", "scale", "trial"],
+            cast(Any, TensorDictSequential(*networks)),
+            in_keys=keys,
             distribution_class=_Density,
             distribution_kwargs={"strategy": strategy},
         )
@@ -106,19 +112,19 @@ class _Density(Distribution):
 
 
 class _Probs(TensorDictModuleBase):
-    """Writes "probs" [*batch, n_actions]: μ for "logits"."""
+    """Writes "probs" [*batch, n_actions]: μ for the logits that the strategy reads."""
 
     def __init__(self, strategy: Strategy) -> None:
         super().__init__()
-        self.in_keys = ["logits", "trial"]  # pyright: ignore[reportAttributeAccessIssue]
+        self.in_keys = [strategy.logits_key]  # pyright: ignore[reportAttributeAccessIssue]
         self.out_keys = ["probs"]  # pyright: ignore[reportAttributeAccessIssue]
-        self.probs = strategy.probs
+        self.probs, self.mask_key = strategy.probs, strategy.action_mask_key
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        logits, mask = tensordict.get("logits"), tensordict.get("action_mask", None)
+        logits, mask = tensordict.get(self.in_keys[0]), tensordict.get(self.mask_key, None)
         if mask is not None:
-            logits = logits.masked_fill(~mask, -torch.inf)
-        probs = self.probs(logits, tensordict.get("trial"))
+            logits = masked_logits(logits, mask)
+        probs = self.probs(logits, tensordict.get("trial", None))
         return tensordict.set("probs", _connected(probs, logits))
 
 

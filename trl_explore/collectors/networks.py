@@ -16,7 +16,16 @@ from torch import Tensor, nn
 from trl_explore.numerics.compiled.arrays import borrow
 from trl_explore.numerics.compiled.cache import kernel_function
 from trl_explore.numerics.compiled.layers import WIDE, accumulate, relu32, tanh32
-from trl_explore.policies import LaneLinear, LaneMLP, LinearPolicy, MLPPolicy, TabularPolicy
+from trl_explore.policies import (
+    GaussianLinearPolicy,
+    GaussianMLPPolicy,
+    LaneGaussian,
+    LaneLinear,
+    LaneMLP,
+    LinearPolicy,
+    MLPPolicy,
+    TabularPolicy,
+)
 from trl_explore.policies.policy import has_hooks
 
 CACHE_BYTES = 1 << 15
@@ -85,13 +94,32 @@ def network_of(
         n_out, n_in = weight.shape[1:]
         return Network(kind, (n_in, n_out)), [weight]
     if type(policy) is MLPPolicy and type(module) is LaneMLP:
-        layers = [cast(LaneLinear, layer) for layer in module.layers]
-        bias = layers[0].bias is not None
-        parameters = [layer.weight for layer in layers]
-        parameters += [cast(nn.Parameter, layer.bias) for layer in layers] if bias else []
-        sizes = (layers[0].weight.shape[2], *(layer.weight.shape[1] for layer in layers))
-        return Network("mlp", sizes, module.activation, bias), parameters
+        return _mlp_of(module)
     return None
+
+
+def gaussian_of(policy: TensorDictModuleBase) -> tuple[Network, list[nn.Parameter]] | None:
+    """The network of a Gaussian policy's mean, and its parameters; None if not supported.
+
+    A scale that depends on the observation is not supported.
+    """
+    module = cast(Any, getattr(policy, "module", None))
+    known = type(policy) in (GaussianLinearPolicy, GaussianMLPPolicy)
+    if not known or type(module) is not LaneGaussian or has_hooks(policy):
+        return None
+    if module.log_scale is None or type(module.network) is not LaneMLP:
+        return None
+    return _mlp_of(module.network)
+
+
+def _mlp_of(module: LaneMLP) -> tuple[Network, list[nn.Parameter]]:
+    """The network and parameters of a multilayer perceptron."""
+    layers = [cast(LaneLinear, layer) for layer in module.layers]
+    bias = layers[0].bias is not None
+    parameters = [layer.weight for layer in layers]
+    parameters += [cast(nn.Parameter, layer.bias) for layer in layers] if bias else []
+    sizes = (layers[0].weight.shape[2], *(layer.weight.shape[1] for layer in layers))
+    return Network("mlp", sizes, module.activation, bias), parameters
 
 
 def arrays(network: Network, parameters: Sequence[Tensor]) -> Any:

@@ -1,4 +1,4 @@
-"""The memory for compiled episodes, reused from call to call."""
+"""The memory for the frames of compiled collectors, reused from call to call."""
 
 from __future__ import annotations
 
@@ -13,22 +13,45 @@ ROOT = ("trial", "observation", "action", "action_log_prob", "action_mask")
 NEXT = ("reward", "done", "terminated", "truncated", "step_count", "episode_reward")
 
 
+Kinds = tuple[tuple[str, int, Any], ...]
+"""The name, the size per frame and the type of every column."""
+
+
+def grown(
+    kinds: Kinds, frames: int, old: tuple[NDArray[Any], ...] = (), keep: int = 0
+) -> tuple[NDArray[Any], ...]:
+    """Flat arrays for ``frames`` frames, with the first ``keep`` frames of the old ones."""
+    new = tuple(np.empty(frames * size, dtype) for _, size, dtype in kinds)
+    for to, of, (_, size, _) in zip(new, old, kinds, strict=False):
+        to[: keep * size] = of[: keep * size]
+    return new
+
+
 class Columns:
     """Flat arrays of frames that grow as needed.
 
     Attributes:
         arrays: the columns in the order of ``ROOT`` without the mask, ``NEXT``, and the mask;
-            observation and mask are flattened row by row.
+            observation, action and mask are flattened row by row.
         capacity: the number of frames that fit.
+
+    Args:
+        n_features: the size of an observation.
+        n_masks: the size of an action mask; 0: there is no such column.
+        n_dims: the size of an action vector; 0: actions are indices.
+        exact: whether there is a log-probability.
     """
 
-    def __init__(self, n_features: int, n_masks: int = 0) -> None:
+    def __init__(
+        self, n_features: int, *, n_masks: int = 0, n_dims: int = 0, exact: bool = True
+    ) -> None:
         self.capacity = 0
+        self._flat = ["trial", "action_log_prob", *([] if n_dims else ["action"])]
         self._kinds = (
             ("trial", 1, np.int64),
             ("observation", n_features, np.float32),
-            ("action", 1, np.int64),
-            ("action_log_prob", 1, np.float32),
+            ("action", n_dims or 1, np.float32 if n_dims else np.int64),
+            ("action_log_prob", int(exact), np.float32),
             ("reward", 1, np.float32),
             ("done", 1, np.bool_),
             ("terminated", 1, np.bool_),
@@ -43,18 +66,15 @@ class Columns:
         """Make room for ``frames`` frames, and keep the first ``keep`` of those present."""
         if frames <= self.capacity:
             return
-        grown = tuple(np.empty(frames * size, dtype) for _, size, dtype in self._kinds)
-        for new, old, (_, size, _) in zip(grown, self.arrays, self._kinds, strict=False):
-            new[: keep * size] = old[: keep * size]
-        self.arrays, self.capacity = grown, frames
+        self.arrays = grown(self._kinds, frames, self.arrays, keep)
+        self.capacity = frames
         columns = {
             name: torch.from_numpy(array).view(frames, size)
-            for array, (name, size, _) in zip(grown, self._kinds, strict=True)
+            for array, (name, size, _) in zip(self.arrays, self._kinds, strict=True)
             if size
         }
-        flat = ("trial", "action", "action_log_prob")
         self._root = {
-            name: columns[name].view(-1) if name in flat else columns[name]
+            name: columns[name].view(-1) if name in self._flat else columns[name]
             for name in ROOT
             if name in columns
         }

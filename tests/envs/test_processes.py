@@ -14,6 +14,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from trl_explore.envs.copies import EnvError
 from trl_explore.envs.vector import LaneVectorEnv, processors
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -147,8 +148,8 @@ def test_an_error_in_a_process_is_one_clear_line(noisy, children):
     lanes = LaneVectorEnv(noisy, 2, workers=2, kwargs={"main": os.getpid()})
     lanes.reset()
     with pytest.raises(
-        RuntimeError,
-        match=r"'noisy_module:Noisy-v0'.*process.*OverflowError: the engine$",
+        EnvError,
+        match=r"'noisy_module:Noisy-v0' raised OverflowError in episode 0 of trial 1: the eng",
     ):
         lanes.step(np.zeros(2, np.int64))
     assert not children()
@@ -206,5 +207,5 @@ def running(pid: int) -> bool:
 
 def test_the_package_does_not_import_torch():
     """The processes are to start quickly."""
-    code = "import sys, trl_explore.envs.copies; sys.exit('torch' in sys.modules)"
+    code = "import sys, trl_explore.envs.processes; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0

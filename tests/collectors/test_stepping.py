@@ -1,0 +1,208 @@
+"""The stepping collector against the TorchRL collector: the same trials, in any environment."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torchrl.envs import RewardScaling
+from torchrl.envs.utils import ExplorationType
+
+from tests.collectors.test_agreement import assert_same
+from tests.collectors.test_networks import POLICIES, Ring, allowed, move, ring_env  # noqa: F401
+from trl_explore.collectors import (
+    NotCompilableError,
+    SteppingCollector,
+    TorchRLCollector,
+    auto_collector,
+)
+from trl_explore.envs import make_env
+from trl_explore.policies import GaussianLinearPolicy, GaussianMLPPolicy, LinearPolicy
+from trl_explore.strategies import (
+    CountBonus,
+    EpsilonGreedy,
+    EpsilonMean,
+    EpsilonUniform,
+    EpsilonZGreedy,
+    Gaussian,
+    MeanAction,
+    ParameterNoise,
+    Softmax,
+    Strategy,
+    UniformAction,
+)
+
+CONTINUOUS = {
+    "gaussian": Gaussian,
+    "cold gaussian": partial(Gaussian, temperature=[0.1, 1.0, 3.0]),
+    "uniform": UniformAction,
+    "mean": MeanAction,
+    "mixture": partial(EpsilonUniform, 0.4),
+    "mixture per trial": partial(EpsilonUniform, [0.0, 0.5, 1.0]),
+    "mean or uniform": partial(EpsilonMean, 0.4),
+}
+
+
+class Outside(Strategy):
+    """A strategy that is no mixture."""
+
+    def probs(self, logits, trial=None):
+        return torch.softmax(logits / 2, -1)
+
+
+def pair(env, make_policy, strategy, **options):
+    """Both collectors with equal weights, and a function that moves the weights of both."""
+    made = []
+    for kind in (SteppingCollector, TorchRLCollector):
+        lanes = env() if callable(env) else make_env(**env)
+        policy = make_policy(lanes)
+        move(policy, torch.Generator().manual_seed(1))
+        made.append(kind(lanes, TensorDictSequential(policy, strategy()), **options))
+    return made
+
+
+def check(env, make_policy, strategy, iterations=3, compiled=True, **options) -> None:
+    collectors = pair(env, make_policy, strategy, **options)
+    assert (collectors[0].why_modules is None) == compiled
+    draws = [torch.Generator().manual_seed(0) for _ in collectors]
+    active = np.ones(collectors[0].trials, dtype=np.bool_)
+    for iteration in range(iterations):
+        ours, theirs = (collector.collect(active) for collector in collectors)
+        assert_same(ours.frames, theirs.frames)
+        assert ours.score.tolist() == theirs.score.tolist()
+        assert ours.length.tolist() == theirs.length.tolist()
+        for collector, generator, rollout in zip(collectors, draws, (ours, theirs), strict=True):
+            move(collector.policy[0], generator)
+            collector.strategy.step(rollout.frames)
+        active[iteration::3] = False
+
+
+CARTPOLE = {"id": "CartPole-v1", "trials": 6, "max_steps": 40, "seed": 4, "first_trial": 2}
+LANDER = {"id": "LunarLander-v3", "trials": 4, "max_steps": 90}
+PENDULUM = {"id": "Pendulum-v1", "trials": 3, "max_steps": 50}
+
+
+@pytest.mark.parametrize("name", [name for name in POLICIES if name != "table"])
+@pytest.mark.parametrize("strategy", [Softmax, partial(EpsilonGreedy, 0.2)])
+def test_every_policy(name, strategy):
+    check(CARTPOLE, POLICIES[name], strategy)
+
+
+def test_a_table():
+    check({"id": "FrozenLake-v1", "trials": 20}, POLICIES["table"], Softmax)
+
+
+def test_an_environment_without_a_kernel():
+    pytest.importorskip("Box2D")
+    check(LANDER, LinearPolicy, Softmax)
+
+
+@pytest.mark.parametrize("strategy", CONTINUOUS)
+def test_continuous_actions(strategy):
+    check(PENDULUM, GaussianLinearPolicy, CONTINUOUS[strategy])
+
+
+def test_several_dimensions_and_hidden_layers():
+    pytest.importorskip("Box2D")
+    env = {"id": "LunarLander-v3", "trials": 3, "max_steps": 60, "kwargs": {"continuous": True}}
+    check(env, partial(GaussianMLPPolicy, hidden=[16, 9]), partial(EpsilonUniform, 0.3))
+
+
+def test_a_scale_of_the_state_runs_in_torch():
+    policy = partial(GaussianLinearPolicy, state_dependent_scale=True)
+    check(PENDULUM, policy, Gaussian, compiled=False)
+
+
+@pytest.mark.parametrize("strategy", [Outside, CountBonus, partial(EpsilonZGreedy, 0.4)])
+def test_strategies_that_are_not_compiled(strategy):
+    check(CARTPOLE, LinearPolicy, strategy, compiled=False)
+
+
+def test_a_policy_of_ones_own():
+    class Half(LinearPolicy):
+        def forward(self, tensordict):
+            super().forward(tensordict)
+            return tensordict.set("logits", tensordict["logits"] / 2)
+
+    check(CARTPOLE, Half, Softmax, compiled=False)
+
+
+@pytest.mark.parametrize("strategy", [Softmax, ParameterNoise, Outside])
+def test_several_episodes_per_update(strategy):
+    compiled = strategy is not Outside
+    check(CARTPOLE, LinearPolicy, strategy, compiled=compiled, episodes_per_update=3)
+
+
+@pytest.mark.parametrize("strategy", [Softmax, Outside])
+def test_masks(ring_env, strategy, monkeypatch):  # noqa: F811
+    """The environment returns the masks in ``info``."""
+
+    def reset(self, *, seed=None, options=None):
+        observation, info = original_reset(self, seed=seed, options=options)
+        return observation, {**info, "action_mask": np.array(allowed(self.place))}
+
+    def step(self, action):
+        *outputs, info = original_step(self, action)
+        return *outputs, {**info, "action_mask": np.array(allowed(self.place))}
+
+    original_reset, original_step = Ring.reset, Ring.step
+    monkeypatch.setattr(Ring, "reset", reset)
+    monkeypatch.setattr(Ring, "step", step)
+    make = partial(ring_env, trials=10, masked=False)
+    check(make, LinearPolicy, strategy, compiled=strategy is Softmax)
+    data = pair(make, LinearPolicy, strategy)[0].collect().frames
+    assert data["action_mask"].gather(1, data["action"].unsqueeze(-1)).all()
+    assert not data["action_mask"].all()
+
+
+@pytest.mark.parametrize(
+    ("env", "policy", "strategy", "compiled"),
+    [
+        (CARTPOLE, LinearPolicy, Softmax, True),
+        (CARTPOLE, LinearPolicy, Outside, False),
+        (PENDULUM, GaussianLinearPolicy, Gaussian, True),
+        (PENDULUM, GaussianLinearPolicy, MeanAction, True),
+    ],
+)
+def test_without_exploration(env, policy, strategy, compiled):
+    options = {"exploration_type": ExplorationType.DETERMINISTIC}
+    check(env, policy, strategy, compiled=compiled, **options)
+
+
+def test_the_log_grows(monkeypatch):
+    from trl_explore.collectors.stepping import collector as module
+
+    whole = pair(CARTPOLE, LinearPolicy, Softmax)[0].collect()
+    monkeypatch.setattr(module, "FIRST_FRAMES", 3)
+    grown = pair(CARTPOLE, LinearPolicy, Softmax)[0].collect()
+    assert_same(grown.frames, whole.frames)
+
+
+def test_in_several_processes():
+    check({**CARTPOLE, "workers": 2}, LinearPolicy, Softmax)
+
+
+def test_what_it_does_not_serve_is_refused(caplog):
+    env = make_env(**CARTPOLE)
+    env.append_transform(RewardScaling(0.0, 2.0))
+    both = TensorDictSequential(LinearPolicy(env), Softmax())
+    with pytest.raises(NotCompilableError, match="the transform RewardScaling"):
+        SteppingCollector(env, both)
+    reader = TensorDictModule(torch.nn.Identity(), in_keys=[("next", "reward")], out_keys=["bonus"])
+    env = make_env(**CARTPOLE)
+    both = TensorDictSequential(LinearPolicy(env), reader, Softmax())
+    with pytest.raises(NotCompilableError, match="TensorDictModule reads"):
+        SteppingCollector(env, both)
+    with pytest.raises(NotCompilableError, match="renamed entries"):
+        SteppingCollector(env, TensorDictSequential(LinearPolicy(env), Softmax(action_key="act")))
+
+
+def test_auto_steps_where_there_is_no_kernel(caplog):
+    caplog.set_level("INFO", logger="trl_explore")
+    env = make_env(**PENDULUM)
+    collector = auto_collector(env, TensorDictSequential(GaussianLinearPolicy(env), Gaussian()))
+    assert isinstance(collector, SteppingCollector)
+    assert caplog.messages[0].startswith("collector: stepping (fused does not apply: ")

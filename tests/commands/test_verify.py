@@ -1,0 +1,78 @@
+"""Running finished jobs again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from shutil import copytree
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save_file
+
+ROOT = Path(__file__).resolve().parents[2]
+SHORT = ["trials=3", "first_trial=5", "max_iterations=12", "score_window=2"]
+
+
+@pytest.fixture(scope="module")
+def jobs(tmp_path_factory, run_many) -> list[Path]:
+    """A job with the same parameter for all trials, and one with a value per trial."""
+    out = tmp_path_factory.mktemp("verified")
+    words = ["-m", "strategy=epsilon_greedy", "strategy.epsilon=0.2,[0.1,0.2,0.3]", *SHORT]
+    (ran,) = run_many([[*words, f"output_dir={out}"]], out)
+    assert ran.returncode == 0, ran.stderr
+    return sorted(path for path in (out / "train").iterdir() if path.is_dir())
+
+
+@pytest.fixture
+def verify(run_many, tmp_path):
+    def run(*folders):
+        (ran,) = run_many([[str(f) for f in folders]], tmp_path, ROOT / "scripts" / "verify.py")
+        return ran
+
+    return run
+
+
+def test_a_job_that_runs_again_is_equal(jobs, verify):
+    ran = verify(jobs[0].parent)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert ran.stdout.splitlines() == [f"{job.name}: equal" for job in jobs]
+
+
+def test_a_value_per_trial_is_timed_for_the_trial_that_has_it(jobs, run_many, tmp_path):
+    words = [str(jobs[0].parent), "--trials", "3"]
+    (ran,) = run_many([words], tmp_path, ROOT / "scripts" / "time_trials.py")
+    assert (ran.returncode, ran.stderr) == (0, "")
+
+
+def scale(by):
+    def change(job):
+        weights = load_file(job / "weights.safetensors")
+        save_file({k: (w * by).astype(np.float32) for k, w in weights.items()},
+                  job / "weights.safetensors")  # fmt: skip
+
+    return change
+
+
+def other_score(job):
+    lines = (job / "episodes.csv").read_text().splitlines()
+    trial, iteration, score, frames = lines[14].split(",")
+    lines[14] = ",".join([trial, iteration, str(float(score) + 1), frames])
+    (job / "episodes.csv").write_text("\n".join(lines) + "\n")
+    return f"iteration {iteration} on (trial {trial})"
+
+
+@pytest.mark.parametrize(
+    ("change", "status", "words"),
+    [
+        (scale(1 + 1e-6), 0, "equal within rounding"),
+        (scale(1.1), 1, "different"),
+        (other_score, 1, "different from"),
+    ],
+)
+def test_the_first_difference_is_named(jobs, verify, tmp_path, change, status, words):
+    job = Path(copytree(jobs[0], tmp_path / jobs[0].name))
+    more = change(job) or ""
+    ran = verify(job)
+    assert ran.returncode == status, ran.stderr
+    assert words in ran.stdout
+    assert more in ran.stdout

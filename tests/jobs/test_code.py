@@ -1,0 +1,55 @@
+"""The digests of the code behind a result."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from trl_explore.jobs import code
+from trl_explore.jobs.code import changed_code, code_digests
+
+
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    """A module of the user's, and a package."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "mine_env.py").write_text("A = 1\n")
+    (tmp_path / "mine_package").mkdir()
+    for name in ("__init__", "part"):
+        (tmp_path / "mine_package" / f"{name}.py").write_text("B = 1\n")
+    return tmp_path
+
+
+CONFIG = {
+    "strategy": {"_target_": "mine_package.Mine", "inner": [{"_target_": "torch.nn.Linear"}]},
+    "env": {"_target_": "trl_explore.envs.make_env", "id": "mine_env:Mine-v0"},
+}
+
+
+def digests(config):
+    code._digest.cache_clear()
+    return code_digests(config)
+
+
+def test_the_modules_of_the_user_are_those_that_the_configuration_names(mine):
+    assert list(digests(CONFIG)) == ["trl_explore", "mine_env", "mine_package"]
+    assert list(digests({"env": {"id": "CartPole-v1"}})) == ["trl_explore"]
+    assert "mine_env" not in sys.modules  # it is not imported
+
+
+@pytest.mark.parametrize("name", ["mine_env.py", "mine_package/part.py"])
+def test_a_changed_file_changes_the_digest_of_its_module_alone(mine, name):
+    before = digests(CONFIG)
+    assert changed_code(before, digests(CONFIG)) == []
+    (mine / name).write_text("C = 2\n")
+    (line,) = changed_code(before, digests(CONFIG))
+    assert name.partition(".")[0].partition("/")[0] in line
+
+
+def test_the_code_of_this_package_counts_for_unfinished_jobs_only():
+    now = digests({})
+    before = {"trl_explore": "another"}
+    assert changed_code(before, now)
+    assert changed_code(before, now, own=False) == []
+    assert changed_code({}, now) == []  # results that recorded no code

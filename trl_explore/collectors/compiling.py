@@ -1,0 +1,101 @@
+"""What compiled code can stand in for: the checks that the compiled collectors share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+from torchrl.data import OneHot
+from torchrl.envs import TransformedEnv
+
+from trl_explore.checks import holds
+from trl_explore.collectors.networks import Network
+from trl_explore.policies.policy import has_hooks
+from trl_explore.strategies import ContinuousMixtureStrategy, MixtureStrategy
+
+
+class NotCompilableError(ValueError):
+    """A compiled collector does not support its arguments; the message gives the reason."""
+
+
+def has_mask(env: TransformedEnv) -> bool:
+    """Whether an environment has action masks."""
+    return env.observation_spec.get("action_mask", None) is not None
+
+
+def check_mixture(strategy: Any) -> None:
+    """Reject a strategy over n actions that its mixture does not describe completely.
+
+    Raises:
+        NotCompilableError: with the reason.
+    """
+    name = type(strategy).__name__
+    if not isinstance(strategy, MixtureStrategy):
+        raise NotCompilableError(f"{name} is not a mixture of argmax, softmax and uniform")
+    if not strategy.compilable or not holds(strategy, "compilable", strategy.REPLACED):
+        raise NotCompilableError(
+            f"{name} overrides one of {', '.join(MixtureStrategy.REPLACED)} "
+            "and does not declare itself compilable"
+        )
+    if has_hooks(strategy):
+        raise NotCompilableError(f"{name} has hooks")
+    keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
+    if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
+        raise NotCompilableError(f"{name} has one-hot actions or renamed entries")
+
+
+def check_gaussian(strategy: Any) -> None:
+    """Reject a strategy over vectors that its mixture does not describe completely.
+
+    Raises:
+        NotCompilableError: with the reason.
+    """
+    name = type(strategy).__name__
+    if not isinstance(strategy, ContinuousMixtureStrategy):
+        raise NotCompilableError(f"{name} is not a mixture of mean, Gaussian and uniform")
+    if not strategy.mixes_policy or not holds(strategy, "mixes_policy", strategy.REPLACED):
+        raise NotCompilableError(f"{name} overrides one of {', '.join(strategy.REPLACED)}")
+    if has_hooks(strategy):
+        raise NotCompilableError(f"{name} has hooks")
+    if (strategy.loc_key, strategy.scale_key, strategy.action_key) != ("loc", "scale", "action"):
+        raise NotCompilableError(f"{name} has renamed entries")
+
+
+def check_weights(
+    network: Network, parameters: Sequence[nn.Parameter], trials: int, n_in: int, n_out: int
+) -> None:
+    """Compiled code does not check bounds, so sizes and types are validated here.
+
+    Raises:
+        NotCompilableError: with the sizes, or the type, that differ.
+    """
+    first = parameters[0]
+    if (network.sizes[0], network.sizes[-1]) != (n_in, n_out) or len(first) != trials:
+        raise NotCompilableError(
+            f"the weights have shape {list(first.shape)}, but (trials, actions, features) are "
+            f"{(trials, n_out, n_in)}"
+        )
+    for parameter in parameters:
+        if parameter.dtype != torch.float32 or not parameter.is_cpu:
+            raise NotCompilableError(
+                "the weights must be torch.float32 on cpu, "
+                f"got {parameter.dtype} on {parameter.device}"
+            )
+
+
+def mixture_array(point: Sequence[Any], trials: int) -> NDArray[np.float64]:
+    """Weights and temperature [4, 1], or [4, trials] if they differ between trials.
+
+    Raises:
+        ValueError: if an entry does not have one value, or one for every trial.
+    """
+    if all(isinstance(value, float) for value in point):
+        return np.array(point).reshape(4, 1)
+    columns = np.broadcast_arrays(*map(np.atleast_1d, point))
+    if columns[0].shape not in ((1,), (trials,)):
+        raise ValueError(f"a mixture has {columns[0].size} values, but there are {trials} trials")
+    return np.stack(columns).astype(np.float64)

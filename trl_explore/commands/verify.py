@@ -1,0 +1,90 @@
+"""Run finished jobs again, and say whether their results are the same: ``trl-explore verify DIR``.
+
+On the same kind of processor and with the same versions, every number of a job is the same. On
+others, the last bits of a weight may differ, and a trial may take another course from some
+iteration on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+from hydra.errors import HydraException
+from omegaconf.errors import OmegaConfBaseException
+
+from trl_explore import config as configuration
+from trl_explore import jobs as results
+from trl_explore.config.recorded import RecordedJob, recompose_all
+
+TOLERANCE = 1e-5
+"""The largest difference of weights, relative to the largest, that is called rounding."""
+SAME, CLOSE = "equal", "equal within rounding"
+
+
+def verify(job: RecordedJob) -> str:
+    """Train the trials of a job again; returns in words how the results compare.
+
+    ``equal``: every trial has the same outcome, scores and weights. ``equal within rounding``: the
+    same outcomes and scores, and weights that differ by at most ``TOLERANCE``. Otherwise the words
+    name the first difference.
+    """
+    shards = configuration.build_shards(job.config)
+    try:
+        trials = shards.run(job.config.threads)
+        weights = {name: w.detach().numpy() for name, w in shards.weights().items()}
+    finally:
+        shards.close()
+    first = int(job.config.first_trial)
+    if (job.folder / results.EPISODES).is_file():
+        old = results.read_episodes(job.folder)
+        new = trials.episodes()
+        rows = min(len(old), len(new["trial"]))
+        same = [
+            old[name].to_numpy()[:rows] == new[name][:rows] + (first if name == "trial" else 0)
+            for name in ("trial", "iteration", "score", "frames")
+        ]
+        wrong = ~np.logical_and.reduce(same)
+        if wrong.any():
+            row = old.iloc[int(np.argmax(wrong))]
+            return f"different from iteration {row['iteration']:.0f} on (trial {row['trial']:.0f})"
+    for name in ("iterations", "frames", "score", "status"):
+        wrong = job.trials[name].to_numpy() != np.asarray(getattr(trials, name))
+        if wrong.any():
+            return f"different {name} of trial {first + int(np.argmax(wrong))}"
+    error = 0.0
+    for name, old in results.read_weights(job.folder).items():
+        if old.shape != weights[name].shape:
+            return f"different shape of {name}"
+        if not np.array_equal(old, weights[name], equal_nan=True):
+            error = max(error, float(np.abs(old - weights[name]).max() / np.abs(old).max()))
+    if error == 0:
+        return SAME
+    how = f"weights differ by up to {error:.1g} of the largest"
+    return f"{CLOSE} ({how})" if error <= TOLERANCE else f"different: {how}"
+
+
+def main() -> int:
+    """Verify jobs; returns status 1 if a job is different, or after one line with an error."""
+    parser = argparse.ArgumentParser(
+        description="Run finished jobs again, and say whether their results are the same."
+    )
+    parser.add_argument(
+        "folders", nargs="+", type=Path, metavar="DIR", help="folder of a sweep or job"
+    )
+    parser.add_argument(
+        "--config-dir", type=Path, metavar="DIR", help="the --config-dir used to train the jobs"
+    )
+    arguments = parser.parse_args()
+    different = False
+    try:
+        for job in recompose_all(arguments.folders, arguments.config_dir):
+            words = verify(job)
+            different |= not words.startswith(SAME)
+            print(f"{job.folder.name}: {words}", flush=True)
+    except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
+        print(f"error: {configuration.describe(error)}", file=sys.stderr)
+        return 1
+    return 1 if different else 0

@@ -1,0 +1,70 @@
+"""The policy gradient of a linear softmax policy in closed form, without autograd."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+from tensordict.nn import ProbabilisticTensorDictSequential
+from torch import Tensor
+
+from trl_explore.numerics.score import (
+    formula_serves,
+    linear_softmax_gradient,
+    linear_softmax_reinforce,
+)
+from trl_explore.objectives.episodes import Episodes
+from trl_explore.policies import LinearPolicy
+from trl_explore.policies.actor import has_linear_softmax
+
+
+def linear_weight_key(actor: ProbabilisticTensorDictSequential) -> tuple[str, ...] | None:
+    """The key of W among the parameters of a linear softmax; None for any other π."""
+    if not has_linear_softmax(actor):
+        return None
+    weight = cast(LinearPolicy, actor[0]).weight
+    names = (tuple(name.split(".")) for name, p in actor.named_parameters() if p is weight)
+    return next(names, None)
+
+
+def closed_form(
+    weight: Tensor,
+    episodes: Episodes,
+    action: Tensor,
+    scale: float,
+    baseline: float | None,
+    factor: Callable[[], Tensor],
+) -> tuple[Tensor, Tensor] | None:
+    """S_k = scale · Σ_{t ∈ frames of trial k} A_t log π(a_t|s_t), and its gradient.
+
+    Args:
+        weight: W [trials, n_actions, n_features].
+        episodes: the data.
+        action: [frames] int64.
+        scale: a factor of S.
+        baseline: b if A_t = G_t − b; None if A_t is something else.
+        factor: gives A [frames].
+
+    Returns:
+        S [trials] and ∂S/∂W; None if these tensors need autograd.
+    """
+    observation, trial = episodes.tensordict.get("observation"), episodes.trial
+    if not _takes_gradient(weight) or not formula_serves(observation, weight, episodes.reward):
+        return None
+    if baseline is not None:
+        found = linear_softmax_reinforce(
+            observation, weight, action, episodes.reward, episodes.done, trial,
+            gamma=episodes.gamma, baseline=baseline, scale=scale,
+        )  # fmt: skip
+        if found is not None:
+            return found
+    advantage = factor()
+    if not formula_serves(observation, weight, advantage):
+        return None
+    return linear_softmax_gradient(observation, weight, action, advantage, trial, scale)
+
+
+def _takes_gradient(weight: Tensor) -> bool:
+    """Whether a gradient may be added to W without autograd, which calls hooks and goes on."""
+    hooked = weight._backward_hooks or weight._post_accumulate_grad_hooks
+    return weight.requires_grad and weight.is_leaf and not hooked
