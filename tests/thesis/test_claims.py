@@ -676,3 +676,26 @@ def test_false_verdicts_are_rare(rng):
         a, b = (Sample.of(rng.integers(100, 400, size=20).astype(float)) for _ in range(2))
         wrong += rules.mean_less(a, b)(0.95).verdict != "open"
     assert wrong / 200 < 0.1
+
+
+def test_what_was_learned_is_read_from_runs_that_were_not_stopped(make):
+    def learned(experiment: str, failing: int) -> Outcomes:
+        o = make(times(110, 180, n=400), experiment=experiment, name=experiment)
+        score = np.where(np.arange(400) < failing, 50.0, 490.0)
+        return replace(
+            o,
+            learned=score > 195,
+            iterations_to_learn=np.where(score > 195, 20, 1000),
+            frames_to_learn=o.frames,
+            learned_score=score,
+            iterations=np.full(400, 1000),
+            status=np.full(400, "capped"),
+        )
+
+    cut, whole = learned("thesis", 0), learned("thesis_learning", 200)
+    claim = BY_ID["score.softmax_passes_consistently"]
+    for outcomes, verdict in (([cut], "holds"), ([cut, whole], "does not hold")):
+        (checked,) = check_claims(Study(outcomes), [claim])
+        assert checked.finding.verdict == "holds"
+        assert checked.learned is not None
+        assert checked.learned.verdict == verdict

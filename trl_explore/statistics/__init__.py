@@ -8,6 +8,8 @@
 ``survival``     right-censored times: Kaplan-Meier, median, log-rank
 ``pairing``      pairs by seed and trial, pooling, shared trials
 ``summary``      all estimates for one configuration
+``learning``     when a trial has learned: the evaluations and their rule
+``decomposition``  the parts of a difference: acting, bias, data
 ``comparisons``  differences of two configurations, with Holm's correction over many pairs
 ``power``        how many trials are needed to detect a difference
 

@@ -202,6 +202,8 @@ def _compared(
     refuse_shared([a, b])
     first, second = measure.of(a), measure.of(b)
     x, y, paired = common_trials(first, second)
+    if not len(x) or not len(y):
+        raise ValueError(f"{a.name} and {b.name}: no {measure.name} to compare")
     result = mean_difference(x, y, level=level)
     if measure.less_is_better:
         times = [(s.values, s.converged) for s in (x, y)]

@@ -21,7 +21,8 @@ STRATEGIES = ("random", "argmax", "epsilon_greedy", "decaying_epsilon_greedy", "
 
 # The conditions under which the thesis made its statements (§2.3, §2.4.3, appendix A.4).
 CAPS = {
-    "thesis": 1000, "epsilon_grid": 1000, "decay_grid": 5000, "temperature_grid": 1000,
+    "thesis": 1000, "thesis_learning": 1000, "epsilon_grid": 1000, "decay_grid": 5000,
+    "temperature_grid": 1000,
     "baselines": 1000, "corrections": 1000, "corrections_temperature": 1000, "long_runs": 5000,
 }  # fmt: skip
 THRESHOLD, WINDOW, ENV_ID = 195.0, 100, "CartPole-v1"
@@ -83,8 +84,19 @@ class Study:
             except ValueError:
                 # The conditions of the thesis then say why such a job is not used.
                 found += [o] if passed else []
-        seconds, timed = (self.seconds, self.timed_trials) if passed else ({}, {})
-        return replace(self, outcomes=found, seconds=seconds, timed_trials=timed, measure=measure)
+        if passed:
+            return replace(self, outcomes=found, measure=measure)
+        # If the five strategies were also run without a stop, nothing that they learn is cut off.
+        whole = any(o.experiment == "thesis_learning" for o in found)
+        places = {"thesis": "thesis_learning"} if whole else {}
+        return replace(
+            self,
+            outcomes=found,
+            seconds={},
+            timed_trials={},
+            places=places | dict(self.places),
+            measure=measure,
+        )
 
     def under(self, correction: str) -> Study:
         """The study in which the experiments with corrections replace those without.

@@ -39,7 +39,7 @@ def plot_power(ax: Axes, pairs: Sequence[Pair], *, trials: int, level: float) ->
     """Draw the smallest difference that is detected with 80 % power, by number of trials.
 
     The line is for the median standard deviation of the pairs; the band reaches from the smallest
-    to the largest. Both begin at the fewest trials with which a permutation test can be
+    to the largest. Both begin at the fewest trials with which a difference can be
     significant. Each point is a pair: its observed difference, and the number of trials that would
     detect it with that power. For points left of the vertical line there were enough trials.
 
