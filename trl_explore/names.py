@@ -119,6 +119,7 @@ class ExperimentName:
 
 EXPERIMENTS: Mapping[str, ExperimentName] = {
     "thesis": ExperimentName("The five strategies"),
+    "thesis_learning": ExperimentName("The five strategies, judged by what they learn"),
     "long_runs": ExperimentName("The five strategies, up to 5,000 iterations"),
     "corrections": ExperimentName("Strategies and corrections", why=True),
     "corrections_temperature": ExperimentName("Temperatures and corrections", why=True),

@@ -177,7 +177,7 @@ def test_every_file_trains(run_many, tmp_path):
     for path in (tmp_path / "auto").glob("*/*/run.json"):
         run = json.loads(path.read_text(encoding="utf-8"))
         name = next(n for n in names if FILES[n].id == run["config"]["env"]["id"])
-        used = "FusedCollector" if name in COMPILED else "TorchRLCollector"
+        used = "FusedCollector" if name in COMPILED else "SteppingCollector"
         assert run["collector"] == used, name
         seen.append(run["config"]["score_threshold"])
     assert sorted(seen) == sorted(FILES[name].score_threshold for name in names)

@@ -436,7 +436,7 @@ def test_padding_is_not_counted():
     mask = torch.tensor([[True, True, True], [True, False, False]])
     frames = {"observation": torch.randn(2, 3, 4), "action": torch.zeros(2, 3).long()}
     strategy.step(TensorDict({**frames, "collector": {"mask": mask}}, [2, 3]))
-    assert int(strategy._counts.sum()) == int(strategy.frames) == 4
+    assert int(strategy.visits.counts.sum()) == int(strategy.frames) == 4
 
 
 def test_a_gaussian_in_a_group_writes_beside_its_action():
