@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 from trl_explore.jobs import checkpoint
-from trl_explore.jobs.checkpoint import SLOTS, DamagedError, Store, pack, unpack
+from trl_explore.jobs.checkpoint import HISTORY, SLOTS, DamagedError, Store, pack, unpack
 
 WEIGHT = torch.arange(6.0).reshape(2, 3)
 STATE = {
@@ -276,3 +276,34 @@ def test_a_full_disk(tmp_path):
     assert found(tmp_path) == 2
     fill(store, 3, 4)
     assert found(tmp_path) == 4
+
+
+def test_what_a_failed_attempt_has_left_is_cut_off(tmp_path):
+    store = Store(tmp_path)
+    fill(store, 1, 3)
+    path = store.folder / HISTORY
+    with path.open("ab") as file:
+        file.write(b"x" * 10_000)
+    fill(store, 4, 4)
+    checkpoint, _ = Store(tmp_path).load()
+    assert checkpoint is not None
+    assert path.stat().st_size == checkpoint.header["store"]["length"]
+
+
+def test_a_history_that_has_gone_is_known_to_be_lost(tmp_path):
+    store = Store(tmp_path)
+    assert not store.lost()
+    fill(store, 1, 3)
+    assert not store.lost()
+    (store.folder / HISTORY).unlink()
+    assert store.lost()
+
+
+def test_a_slot_that_cannot_be_opened_is_like_a_damaged_one(tmp_path):
+    fill(Store(tmp_path), 1, 3)
+    path = newest(tmp_path)
+    path.unlink()
+    path.mkdir()
+    checkpoint, damaged = Store(tmp_path).load()
+    assert checkpoint is not None
+    assert len(damaged) == 1

@@ -488,3 +488,28 @@ def test_measures_that_contradict_the_trials_are_refused(job, old, new, complain
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(ResultsError, match=complaint):
         results.read_trials(job)
+
+
+def test_a_job_that_is_being_cleared_is_first_of_all_unfinished(tmp_path, monkeypatch):
+    job = write(tmp_path / "job")
+    unlink, left = Path.unlink, [1]
+
+    def once(path, missing_ok=False):
+        if not left:
+            raise OSError("killed")
+        left.pop()
+        unlink(path, missing_ok=missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", once)
+    with pytest.raises(OSError, match="killed"):
+        writing.clear(job)
+    assert not results.is_finished(job)
+
+
+def test_a_record_that_names_a_file_elsewhere_is_refused(tmp_path):
+    job = write(tmp_path / "job")
+    (tmp_path / "other.csv").write_text("x")
+    run = results.read_run(job)
+    run["files"]["../other.csv"] = {"bytes": 1}
+    with pytest.raises(ResultsError, match=r"other\.csv"):
+        results.check_whole(job, run)

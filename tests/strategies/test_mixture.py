@@ -394,3 +394,21 @@ def test_what_is_no_mixture_is_refused_whenever_it_comes(point, message):
     strategy.step()
     with pytest.raises(ValueError, match=message):
         collector.collect()
+
+
+@pytest.mark.parametrize(
+    "weights",
+    [
+        {"greedy": 0.5, "uniform": 0.51},
+        {"greedy": 1.5, "uniform": -0.5},
+        {"greedy": np.array([0.5, 0.5]), "uniform": np.array([0.5, 0.52])},
+        {"greedy": np.array([0.5, 1.5]), "uniform": np.array([0.5, -0.5])},
+    ],
+)
+def test_weights_are_a_distribution_for_every_trial(weights):
+    class Own(MixtureStrategy):
+        def mixture(self):
+            return Mixture(**weights)
+
+    with pytest.raises(ValueError, match="sum to 1"):
+        Own().checked_mixture(2)

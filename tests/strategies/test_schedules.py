@@ -224,3 +224,11 @@ def test_as_schedule_at_an_open_bound(value):
 def test_as_schedule_above_an_open_bound(value):
     schedule = as_schedule("temperature", value, 0, INFINITY, low_open=True)
     assert np.all(schedule(10) > 0)
+
+
+@pytest.mark.parametrize(
+    "schedule", [Linear(0.0, 2.0, 10), Constant([0.0, 1.0])], ids=["linear", "list"]
+)
+def test_an_open_bound_may_not_be_the_first_value_of_any_trial(schedule):
+    with pytest.raises(ValueError, match="scale"):
+        as_schedule("scale", schedule, 0, 5, low_open=True)

@@ -70,3 +70,12 @@ def test_epsilon_stays_without_data_and_data_need_the_score():
 def test_vdbe_refuses(name, value):
     with pytest.raises(ValueError, match=rf"^{name}\b"):
         VDBE(**{name: value})
+
+
+def test_a_falling_score_changes_as_much_as_a_rising_one():
+    """|V' − V| is relative to the larger of the two: from 10 to 5 it is 1/2, as from 5 to 10."""
+    strategy = VDBE(initial=1.0, sigma=0.5, delta=1.0, step_size=1.0)
+    strategy.bind(POLICY, 1)
+    for score, change in ((10.0, 1.0), (5.0, 0.5), (10.0, 0.5)):
+        strategy.step(scores((0, score)))
+        assert float(strategy.epsilon) == pytest.approx(math.tanh(change))

@@ -126,3 +126,11 @@ def test_wrong_arguments(trials, options):
     name = next(iter(options), "trials")
     with pytest.raises(ValueError, match=rf"^{name}\b"):
         Trials(trials, **options)
+
+
+def test_rounding_errors_do_not_outlive_the_window():
+    """1e16 + 1 − 1e16 is 0: without a new sum, the mean would stay wrong for ever."""
+    trials = Trials(1, max_iterations=100, score_threshold=1e20, score_window=3)
+    for score in [1e16, *[1.0] * 8]:
+        trials.record(np.array([score]), np.array([1]), np.array([False]), 0.0)
+    assert trials.score.tolist() == [1.0]
