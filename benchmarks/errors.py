@@ -11,10 +11,12 @@ experiment would have them. The tables replace those in the page.
 from __future__ import annotations
 
 import argparse
+import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from tables import table
@@ -27,11 +29,12 @@ from trl_explore.statistics.means import mean_difference, mean_interval, time_pe
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import select
 from trl_explore.statistics.samples import Sample
-from trl_explore.thesis import CLAIMS, Claim, Study, check_claims
+from trl_explore.thesis import CLAIMS, Claim, Study, check_claims, rules
 from trl_explore.thesis.study import STRATEGIES
 
 SIZES = (10, 30, 100, 1000)
 CLAIM_SIZES = (30, 100, 1000)
+GROUPS = ("env", "correction", "baseline")
 STATISTICS: dict[str, Callable[[Outcomes], Estimate]] = {
     "mean iterations": lambda o: mean_interval(samples.iterations(o)),
     "iterations per success": lambda o: time_per_success(samples.iterations(o)),
@@ -107,17 +110,16 @@ def verdicts(
         (whole if whole.finding.verdict != "open" else point).finding.verdict
         for whole, point in zip(check_claims(study, claims), points, strict=True)
     ]
-    trials = max(len(o) for o in study.outcomes)
     found = {n: [Counter[str]() for _ in claims] for n in sizes}
     for n in sizes:
         rng = np.random.default_rng(n)
         for _ in range(repetitions):
             index = rng.random(n)
             small = [drawn(o, (index * len(o)).astype(int)) for o in study.outcomes]
-            assert trials >= n
-            for counter, checked in zip(
-                found[n], check_claims(replace(study, outcomes=small), claims), strict=True
-            ):
+            # The verdicts rest on the thesis's costs alone.
+            with patch.object(rules, "COSTS", rules.THESIS_COSTS):
+                decided = check_claims(replace(study, outcomes=small), claims)
+            for counter, checked in zip(found[n], decided, strict=True):
                 counter[checked.finding.verdict] += 1
     for k, claim in enumerate(claims):
         if truth[k] == "not measured":
@@ -125,14 +127,56 @@ def verdicts(
         other = {"holds": "does not hold", "does not hold": "holds"}.get(truth[k], "")
         cells = []
         for n in sizes:
-            decided = found[n][k]["holds"] + found[n][k]["does not hold"]
-            cells += [_percent(decided, repetitions), _percent(found[n][k][other], repetitions)]
+            definite = found[n][k]["holds"] + found[n][k]["does not hold"]
+            cells += [_percent(definite, repetitions), _percent(found[n][k][other], repetitions)]
         yield [f"`{claim.id}`", truth[k], *cells]
 
 
 def read_population(folder: Path) -> list[Outcomes]:
     """Every job at or below a folder."""
     return [read_job(job) for job in find_jobs(folder)]
+
+
+def save(outcomes: Sequence[Outcomes], path: Path, trials: int) -> None:
+    """Keep the first trials of each job, what a claim reads of them, in one small file."""
+    kept = [select(o, np.arange(min(trials, len(o)))) for o in outcomes]
+    facts = [
+        {
+            "name": o.name, "experiment": o.experiment, "strategy": o.strategy,
+            "parameters": dict(o.parameters), "cap": o.cap, "threshold": o.threshold,
+            "window": o.window, "config": {g: o.config[g] for g in GROUPS},
+        }
+        for o in kept
+    ]  # fmt: skip
+    np.savez_compressed(
+        path,
+        facts=json.dumps(facts),
+        iterations=np.stack([o.durations for o in kept]).astype(np.int16),
+        converged=np.stack([o.converged for o in kept]),
+        frames=np.stack([o.frames for o in kept]).astype(np.int32),
+        score=np.stack([o.score for o in kept]).astype(np.float32),
+    )
+
+
+def load(path: Path) -> list[Outcomes]:
+    """What :func:`save` has kept."""
+    with np.load(path) as arrays:
+        facts, columns = json.loads(str(arrays["facts"])), dict(arrays)
+    n = columns["iterations"].shape[1]
+    return [
+        Outcomes(
+            **fact,
+            trial=np.arange(n),
+            seed=np.zeros(n, dtype=np.int64),
+            iterations=columns["iterations"][k].astype(np.int64),
+            converged=columns["converged"][k],
+            score=columns["score"][k].astype(np.float64),
+            frames=columns["frames"][k].astype(np.int64),
+            seconds=np.zeros(n),
+            status=np.where(columns["converged"][k], "converged", "capped"),
+        )
+        for k, fact in enumerate(facts)
+    ]
 
 
 def main() -> None:
@@ -142,8 +186,11 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=400)
     parser.add_argument("--only", nargs="*", default=["coverage", "differences", "level", "claims"])
     parser.add_argument("--out", type=Path, default=Path("docs/statistics.md"))
+    parser.add_argument("--save", type=Path, help="keep 500 trials of each job in this file")
     options = parser.parse_args()
     outcomes, many = read_population(options.folder), options.repetitions
+    if options.save:
+        save(outcomes, options.save, 500)
     thesis = {
         name: next(o for o in outcomes if o.experiment == "thesis" and o.strategy == name)
         for name in STRATEGIES

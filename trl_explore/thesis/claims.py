@@ -123,7 +123,7 @@ CLAIMS: tuple[Claim, ...] = (
         statement="An agent that has not converged in 1000 iterations will probably never.",
         place="§2.4.3",
         definition="Of the trials that have not converged at 1000 iterations, fewer than half"
-        " converge by 5000, for every strategy that has such trials.",
+        " converge by 5000, for every strategy with at least 1 % of such trials.",
         decide=shares.late_trials("random", "argmax", *LEARNING, below=MOSTLY),
     ),
     # Fig. 3.1: which strategies pass, and with which score

@@ -109,7 +109,10 @@ def best_rate_always_passes(study: Study) -> Finding:
 
 
 def late_trials(*strategies: str, below: float) -> Decision:
-    """P(passes by 5000 | not passed at 1000) < ``below`` for each strategy with such trials."""
+    """P(passes by 5000 | not passed at 1000) < ``below`` for each strategy.
+
+    Of several strategies, those with fewer than 1 % of such trials do not count.
+    """
 
     def decide(study: Study) -> Finding:
         rules_of, early = [], CAPS["thesis"]
@@ -117,12 +120,16 @@ def late_trials(*strategies: str, below: float) -> Decision:
             o = _long_run(study, name)
             pending = o.durations > early
             n, late = int(pending.sum()), int((pending & o.converged).sum())
+            called = strategy_label(name)
+            few = rules.never(n, len(o), f"trials of {called} are unconverged at {early}")
+            if n == 0 and len(strategies) == 1:
+                raise NotMeasuredError(f"every trial of {called} converged within {early}")
             if n == 0:
+                rules_of.append(few)
                 continue
-            what = f"trials of {strategy_label(name)} unconverged at {early} converge later"
-            rules_of.append(_of_part(rules.share(late, n, what, below=below), n, len(o)))
-        if not rules_of:
-            raise NotMeasuredError(f"every trial converged within {early}")
+            what = f"trials of {called} unconverged at {early} converge later"
+            rule = _of_part(rules.share(late, n, what, below=below), n, len(o))
+            rules_of.append(rule if len(strategies) == 1 else rules.any_of([rule, few]))
         return rules.all_of(rules_of, study.level)
 
     return decide
