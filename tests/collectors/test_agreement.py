@@ -28,7 +28,7 @@ def env_file(name: str, **changes) -> dict:
     """The arguments of ``make_env`` that a file of ``conf/env`` has."""
     arguments = OmegaConf.to_container(OmegaConf.load(CONF / "env" / f"{name}.yaml"))
     for key in ("_target_", *STOPPING):
-        arguments.pop(key)
+        arguments.pop(key, None)
     return {**arguments, **changes}
 
 

@@ -181,5 +181,5 @@ def test_a_report_on_damaged_records(job, tmp_path_factory, data):
             break
         if not json.loads((folder / "run.json").read_text())["config"]:
             break
-    made = read(folder, lambda _: build_report([place], place / "out", resamples=99))
+    made = read(folder, lambda _: build_report([place], place / "out"))
     assert made is None or made[0].is_file()

@@ -36,7 +36,7 @@ def swept(tmp_path, make_job):
                 run["config"] |= {"score_window": 1, "intrinsic_reward": reward}
                 run["config"]["env"] |= {"kwargs": {"size": size}, "max_steps": size}
                 (job / "run.json").write_text(json.dumps(run))
-    (found,) = evidence.gather(load([tmp_path / "deep_sea"]), resamples=199).groups
+    (found,) = evidence.gather(load([tmp_path / "deep_sea"])).groups
     return found
 
 
@@ -88,6 +88,6 @@ def test_the_figure(swept):
 def test_jobs_of_one_size_have_no_such_figure(tmp_path, make_job):
     for strategy in ("random", "softmax"):
         make_job(tmp_path / "thesis", strategy, [100, 200, 300], strategy=strategy)
-    (found,) = evidence.gather(load([tmp_path]), resamples=199).groups
+    (found,) = evidence.gather(load([tmp_path])).groups
     assert not found.group.sized
     assert not FIRST_REWARD.applies(found)

@@ -18,7 +18,7 @@ def job(tmp_path, make_job):
 
 
 def found(job):
-    return evidence.gather(load([job]), resamples=199)
+    return evidence.gather(load([job]))
 
 
 def test_a_map_per_iteration(job):

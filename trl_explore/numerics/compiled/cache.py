@@ -10,8 +10,9 @@ and writing both files one step.
 Numba notices when the source file of a cached function changes, but not when functions from other
 files, compiled into it, change. ``compiled`` makes those files part of the key.
 
-Every file ends with a SHA-256 of its contents. A damaged file is replaced, and a cache that cannot
-be written is not used: the function is then compiled in every process, and one line says so.
+Every file ends with the length of its contents and their SHA-256. A damaged file is replaced, and a
+cache that cannot be written is not used: the function is then compiled in every process, and one
+line says so.
 """
 
 # numba's classes are not declared:
@@ -22,7 +23,6 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
-import pickle
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -34,10 +34,9 @@ import numba as nb
 from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
-from trl_explore.checks import first_line
-
 NAME = ".trl_explore.lock"
-DIGEST = hashlib.sha256().digest_size
+SIZE, DIGEST = 8, hashlib.sha256().digest_size
+"""The bytes that hold the length of what numba has written, and its digest."""
 logger = logging.getLogger(__name__)
 
 kernel_function = nb.njit(nogil=True, error_model="numpy", forceinline=True)
@@ -128,42 +127,27 @@ class _Files(IndexDataCacheFile):
 
     def _dump(self, obj: Any) -> bytes:
         data = super()._dump(obj)
-        return data + hashlib.sha256(data).digest()
+        return data + len(data).to_bytes(SIZE, "little") + hashlib.sha256(data).digest()
 
     def _load_index(self) -> dict[Any, str]:
-        try:
-            with Path(self._index_path).open("rb") as file:
-                if pickle.load(file) != self._version:
-                    return {}
-                stamp, names = _checked(file.read())
-        except FileNotFoundError:
-            return {}
-        except Exception as error:  # any error of pickle: the next save replaces the file
-            logger.info("%s is damaged: %s", self._index_path, first_line(error))
-            return {}
-        return names if stamp == self._source_stamp else {}
+        return super()._load_index() if _is_whole(Path(self._index_path)) else {}
 
     def _load_data(self, name: str) -> Any:
-        path = Path(self._data_path(name))
-        try:
-            return _checked(path.read_bytes())
-        except OSError:
-            raise
-        except Exception as error:
-            logger.info("%s is damaged: %s", path, first_line(error))
-            return None
+        return super()._load_data(name) if _is_whole(Path(self._data_path(name))) else None
 
 
-def _checked(data: bytes) -> Any:
-    """The object that ``_Files._dump`` has turned to bytes.
-
-    Raises:
-        ValueError: if the bytes are not those.
-    """
-    content, digest = data[:-DIGEST], data[-DIGEST:]
-    if hashlib.sha256(content).digest() != digest:
-        raise ValueError("its checksum is wrong")
-    return pickle.loads(content)
+def _is_whole(path: Path) -> bool:
+    """Whether a file ends with what ``_Files._dump`` returned."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return False
+    end = len(content) - SIZE - DIGEST
+    start = end - int.from_bytes(content[end : end + SIZE], "little")
+    whole = start >= 0 and hashlib.sha256(content[start:end]).digest() == content[-DIGEST:]
+    if not whole:
+        logger.info("damaged: %s", path)
+    return whole
 
 
 @contextmanager
