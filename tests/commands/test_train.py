@@ -34,7 +34,9 @@ NAMES = {
     "softmax": "softmax,temperature=1.0",
 }
 STRATEGIES = list(NAMES)
-RESULTS = {"trials.csv", "episodes.csv", "run.json", "weights.safetensors", "scalars"}
+RESULTS = {
+    "trials.csv", "episodes.csv", "evaluations.csv", "run.json", "weights.safetensors", "scalars",
+}  # fmt: skip
 
 
 def complaints(process) -> list[str]:

@@ -17,6 +17,7 @@ import trl_explore.numerics.compiled
 from trl_explore.numerics import TWINS, dispatch
 from trl_explore.numerics.compiled.arrays import WIDTH, columns, dot
 from trl_explore.numerics.compiled.elementary import cos32, cos_sin, exp32, log1p32, log32, sin32
+from trl_explore.numerics.compiled.normal import ndtri
 from trl_explore.numerics.compiled.philox import STATE_SIZE, begin, random
 from trl_explore.numerics.densities import categorical_log_prob
 from trl_explore.numerics.layers import ACTIVATIONS, activate, lane_linear
@@ -122,6 +123,11 @@ def inner(x, y):
     return dot(x, y, len(x) // WIDTH)
 
 
+@nb.njit
+def quantiles(p):
+    return np.array([ndtri(x) for x in p])
+
+
 FIVE = columns(5)
 
 
@@ -153,6 +159,8 @@ def other_pairs():
     yield "numpy.dot", inner(x[:, 0].copy(), x[:, 1].copy()), np.dot(x[:, 0], x[:, 1])
     transposed(x, found := np.empty((5, len(x))))
     yield "numpy.transpose", found, np.transpose(x)
+    p = np.random.default_rng(1).random(1000)
+    yield "torch.special.ndtri", quantiles(p), torch.special.ndtri(torch.from_numpy(p)).numpy()
 
 
 def compiled_functions():
@@ -181,8 +189,12 @@ def test_every_compiled_function_is_in_the_table_and_names_its_twin():
 
 def test_the_twins_exist():
     for twin in {name for names in TWINS.values() for name in names.split(", ")}:
-        module, function = twin.split(".")
-        place = module if module in ("math", "numpy") else f"trl_explore.numerics.{module}"
+        module, _, function = twin.rpartition(".")
+        place = (
+            module
+            if module in ("math", "numpy", "torch.special")
+            else f"trl_explore.numerics.{module}"
+        )
         assert callable(getattr(import_module(place), function)), twin
 
 

@@ -39,7 +39,11 @@ def names(group):
 
 
 def configured(group, name):
-    return instantiate(OmegaConf.load(CONF / group / f"{name}.yaml"))
+    node = OmegaConf.load(CONF / group / f"{name}.yaml")
+    for entry in node.pop("defaults", []):  # "/strategy@strategy: NAME"
+        for key, option in entry.items():
+            node[key.partition("@")[2]] = OmegaConf.load(CONF / "strategy" / f"{option}.yaml")
+    return instantiate(node)
 
 
 @pytest.fixture(scope="module")

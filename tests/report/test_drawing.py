@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from tests.report.conftest import write_crossing
+from tests.report.test_sizes import write_sizes
+from tests.report.test_visits import write_visits
 from trl_explore.report.evidence import Evidence, GroupEvidence, gather
 from trl_explore.report.figures import KINDS, draw_all
 from trl_explore.report.figures.acting import draw_acting
@@ -85,15 +87,24 @@ def by_learning(tmp_path_factory, make_job) -> Evidence:
     return gather(load([folder]))
 
 
+@pytest.fixture(scope="module")
+def sized(tmp_path_factory, make_job) -> list[GroupEvidence]:
+    """A task of several sizes, and one with a record of where the trials have been."""
+    folder: Path = tmp_path_factory.mktemp("sized")
+    job = make_job(folder / "maps", "softmax", [100, 120], env="FrozenLake-v1")
+    write_visits(job)
+    return [write_sizes(folder, make_job), *gather(load([job])).groups]
+
+
 def test_no_text_lies_on_another_in_the_figure_of_why(by_learning):
     with visual_language():
         check(draw_acting(by_learning.decompositions))
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda k: k.name)
-def test_no_text_lies_on_another_in_any_figure(study, laid_out, by_learning, kind):
+def test_no_text_lies_on_another_in_any_figure(study, laid_out, by_learning, sized, kind):
     drawn = 0
-    for part in [*study, *laid_out, *by_learning.groups]:
+    for part in [*study, *laid_out, *by_learning.groups, *sized]:
         if kind.applies(part):
             with visual_language():
                 check(kind.draw(part))

@@ -17,6 +17,7 @@ NAMES = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 LAYOUTS = {
     "corrections": "crossed", "corrections_temperature": "crossed", "baselines": "crossed",
     "baselines_batch": "crossed", "deep_policy": "crossed", "frozenlake": "crossed",
+    "why": "crossed",
     "mixture_plane": "plane",
 }  # fmt: skip
 

@@ -22,22 +22,26 @@ DURATIONS = {  # strategy -> size -> episodes to the first reward of five trials
 }
 
 
-@pytest.fixture
-def swept(tmp_path, make_job):
+def write_sizes(folder, make_job):
     """Two strategies at three sizes, each with and without an intrinsic reward."""
     for strategy, by_size in DURATIONS.items():
         for size, durations in by_size.items():
             for reward in (0.0, 1.0):
                 job = make_job(
-                    tmp_path / "deep_sea", f"{strategy},{size},{reward}", durations, cap=CAP,
+                    folder / "deep_sea", f"{strategy},{size},{reward}", durations, cap=CAP,
                     strategy=strategy, env="trl_explore/DeepSea-v0", threshold=0.0,
                 )  # fmt: skip
                 run = json.loads((job / "run.json").read_text())
                 run["config"] |= {"score_window": 1, "intrinsic_reward": reward}
                 run["config"]["env"] |= {"kwargs": {"size": size}, "max_steps": size}
                 (job / "run.json").write_text(json.dumps(run))
-    (found,) = evidence.gather(load([tmp_path / "deep_sea"])).groups
+    (found,) = evidence.gather(load([folder / "deep_sea"])).groups
     return found
+
+
+@pytest.fixture
+def swept(tmp_path, make_job):
+    return write_sizes(tmp_path, make_job)
 
 
 def test_the_layout(swept):

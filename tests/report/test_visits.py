@@ -17,17 +17,22 @@ def job(tmp_path, make_job):
     return make_job(tmp_path / "deep_sea", "softmax", [100, 120], env="FrozenLake-v1")
 
 
-def found(job):
-    return evidence.gather(load([job]))
-
-
-def test_a_map_per_iteration(job):
+def write_visits(job):
+    """The visits of a task with two rows and three columns, at six iterations."""
     iteration = np.array([1, 2, 4, 8, 16, 20])
     visits = np.zeros((6, 2, 3), dtype=np.int64)
     visits[:, 0, 0] = 10 * iteration
     visits[3:, 1, 2] = 30
     arrays = {"iteration": iteration, "visits": visits, "reached": (visits > 0) * 2}
     save_file(arrays, job / "visits.safetensors")
+
+
+def found(job):
+    return evidence.gather(load([job]))
+
+
+def test_a_map_per_iteration(job):
+    write_visits(job)
     (group,) = found(job).groups
     assert VISITS.applies(group)
     with visual_language():

@@ -377,7 +377,7 @@ def test_every_strategy_with_every_policy(ran, policy, strategy):
     assert run.returncode == 0, run.stderr
     (job,) = (folder / "train").iterdir()
     assert job.name.startswith(strategy)
-    assert json.loads((job / "run.json").read_text())["collector"] == "TorchRLCollector"
+    assert json.loads((job / "run.json").read_text())["collector"] == "SteppingCollector"
     rows = (job / "episodes.csv").read_text().splitlines()
     assert len(rows) == 1 + 2 * 3
 

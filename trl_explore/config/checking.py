@@ -134,6 +134,7 @@ def unreadable(words: Iterable[str]) -> str:
         try:
             parser.parse_override(word)
         except HydraException:
+            word = "".join(c if c.isprintable() else "?" for c in word)
             key, equals, value = word.partition("=")
             if not equals:
                 return f"cannot read the argument {word!r}; arguments have the form key=value"

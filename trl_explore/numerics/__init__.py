@@ -66,6 +66,7 @@ TWINS = {
     "layers.tanh_backward": "layers.plain_activate",
     "layers.tanh_double": "layers.plain_activate",
     "layers.tanh_single": "layers.plain_activate",
+    "normal.ndtri": "torch.special.ndtri",
     "philox.begin": "streams.generator",
     "philox.philox_block": "streams.generator",
     "philox.random": "streams.generator",

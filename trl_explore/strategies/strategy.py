@@ -101,6 +101,7 @@ class BaseStrategy(TensorDictModuleBase):
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.schedules: dict[str, Schedule] = {}
         self._reads_trial = False
+        self._trained_here = False
 
     def __getstate__(self) -> dict[str, Any]:
         return workers.pack(self.__dict__.copy())
@@ -187,6 +188,7 @@ class BaseStrategy(TensorDictModuleBase):
             ValueError: if a per-trial parameter does not have one value for every trial.
         """
         self._per_trial(trials)
+        self._trained_here = seed is not None
         if seed is not None and self.noise_key is None:
             self.noise_key = "noise"
         self._reads_trial |= trials > 1
@@ -572,7 +574,8 @@ class Strategy(BaseStrategy):
             mask = tensordict.get(self.action_mask_key, None)
             if mask is not None and not mask.bool().any(-1).all():
                 raise ValueError("the action mask forbids every action of a state")
-            if bad.any():
+            # Our trainer stops a trial that diverges, and goes on with the others.
+            if bad.any() and not self._trained_here:
                 raise ValueError(
                     f"a state has no allowed action with a finite logit: in {self.logits_key!r} "
                     "every action that the mask allows has -inf, or one has inf"

@@ -146,7 +146,7 @@ def _is_whole(path: Path) -> bool:
     start = end - int.from_bytes(content[end : end + SIZE], "little")
     whole = start >= 0 and hashlib.sha256(content[start:end]).digest() == content[-DIGEST:]
     if not whole:
-        logger.info("damaged: %s", path)
+        logger.debug("damaged: %s", path)
     return whole
 
 

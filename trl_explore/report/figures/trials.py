@@ -266,7 +266,7 @@ def _seconds_caption(e: GroupEvidence) -> str:
 
 
 def _draw_frames(e: GroupEvidence) -> Figure:
-    quantity = "frames (environment steps) until the trial stopped"
+    quantity = "frames until the trial stopped"
     return _draw(e, lambda c: (c, c.frames.astype(np.float64)), quantity)
 
 
