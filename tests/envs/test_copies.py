@@ -173,10 +173,11 @@ def test_ctrl_c_is_no_error_of_the_environment(odd, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Odd, "step_answer", staticmethod(interrupt))
-    with pytest.raises(KeyboardInterrupt):
-        play(odd)
-    before = signal.signal(signal.SIGINT, lambda *_: None)  # as the command does
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
+        with pytest.raises(KeyboardInterrupt):
+            play(odd)
+        signal.signal(signal.SIGINT, lambda *_: None)  # as the command does
         with pytest.raises(EnvError, match=r"raised KeyboardInterrupt in episode 1 of trial 6$"):
             play(odd)
     finally:
