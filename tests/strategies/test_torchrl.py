@@ -2,10 +2,12 @@
 
 import copy
 import multiprocessing
+import os
 import pickle
 import warnings
 from itertools import pairwise
 from multiprocessing import context
+from weakref import WeakSet
 
 import pytest
 import torch
@@ -30,6 +32,7 @@ from trl_explore.strategies import (
     ParameterNoise,
     Random,
     Softmax,
+    workers,
 )
 from trl_explore.strategies.schedules import Constant, Exponential, Linear
 
@@ -133,6 +136,17 @@ def test_spawned_processes_get_different_seeds_that_the_parents_seed_decides():
 
 def send_actions(strategy, pipe):
     pipe.send(strategy(TensorDict({"logits": torch.zeros(50, 4)}, [50]))["action"].tolist())
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*")
+def test_without_a_strategy_a_fork_leaves_torchs_generator_alone(monkeypatch):
+    monkeypatch.setattr(workers, "_strategies", WeakSet())
+    before = torch.get_rng_state()
+    child = os.fork()
+    if child == 0:
+        os._exit(int(not torch.equal(torch.get_rng_state(), before)))
+    assert os.waitpid(child, 0)[1] == 0
+    assert torch.equal(torch.get_rng_state(), before)
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*")

@@ -91,6 +91,7 @@ class BaseStrategy(TensorDictModuleBase):
         trial_key: NestedKey,
     ) -> None:
         super().__init__()
+        workers.watch(self)
         self.action_key, self.noise_key, self.trial_key = action_key, noise_key, trial_key
         name = action_key if isinstance(action_key, str) else action_key[-1]
         self.log_prob_key = log_prob_key or self._beside(f"{name}_log_prob")
@@ -108,6 +109,7 @@ class BaseStrategy(TensorDictModuleBase):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(workers.unpack(state))
+        workers.watch(self)
 
     def _beside(self, name: str) -> NestedKey:
         """The entry with this name in the group of the action."""

@@ -7,7 +7,7 @@ numbers, and the seed of a spawned one comes from the operating system, so that 
 repeated. As torch's ``DataLoader`` does for its workers, the parent draws one seed per process
 from its generator, and the new process seeds torch with it before it runs:
 
-- every forked process, by a hook on ``os.fork``;
+- every process forked while a strategy exists, by a hook on ``os.fork``;
 - every spawned process that gets a strategy as an argument, where the strategy is unpickled.
 
 A later ``torch.manual_seed`` in the worker, which is what ``set_seed`` of a collector with
@@ -17,13 +17,24 @@ workers does, replaces the seed.
 from __future__ import annotations
 
 import os
+from collections.abc import Hashable
 from multiprocessing.context import get_spawning_popen
 from typing import Any
+from weakref import WeakSet
 
 import torch
 
 SEED = "_worker_seed"
 """The entry of a pickled strategy with the seed of the new process."""
+
+
+_strategies: WeakSet[Hashable] = WeakSet()
+"""The strategies of this process; without one, a fork draws and seeds nothing."""
+
+
+def watch(strategy: Hashable) -> None:
+    """Seed the processes that are forked while this strategy exists."""
+    _strategies.add(strategy)
 
 
 def _draw() -> int:
@@ -46,15 +57,16 @@ def unpack(state: dict[str, Any]) -> dict[str, Any]:
 class _Fork:
     """The seed of the next forked process."""
 
-    seed = 0
+    seed: int | None = None
 
     @classmethod
     def before(cls) -> None:
-        cls.seed = _draw()
+        cls.seed = _draw() if _strategies else None
 
     @classmethod
     def in_child(cls) -> None:
-        torch.manual_seed(cls.seed)
+        if cls.seed is not None:
+            torch.manual_seed(cls.seed)
 
 
 if hasattr(os, "register_at_fork"):
