@@ -98,7 +98,7 @@ def test_a_process_that_was_killed_is_one_clear_line(children):
     ):
         lanes.step(np.zeros(4, np.int64))
     assert not children()
-    lanes.reset()  # begins anew
+    lanes.reset()  # starts the processes again
     lanes.close()
 
 

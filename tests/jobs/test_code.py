@@ -1,4 +1,4 @@
-"""The digests of the code behind a result."""
+"""The digests of the code that computed a result."""
 
 from __future__ import annotations
 

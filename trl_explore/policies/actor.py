@@ -221,7 +221,7 @@ def fitted(action: Tensor, shape: torch.Size, n_actions: int | None = None) -> T
     """The actions in a shape, so that [n] and [n, 1] do not broadcast to [n, n].
 
     Args:
-        action: the actions, one-hot [*shape, n_actions] or of another shape with as many numbers.
+        action: the actions, one-hot [*shape, n_actions] or of a shape with as many entries.
         shape: the shape that a distribution expects.
         n_actions: the number of actions, if they may be one-hot.
 

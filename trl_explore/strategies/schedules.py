@@ -113,7 +113,7 @@ class _Walk(Schedule):
             )
 
     def __call__(self, iteration: int) -> float:
-        """The value in ``iteration``, or after as many frames, counted from 0."""
+        """The value after ``iteration`` iterations, or frames if the clock counts frames."""
         length = self.frames if self.clock == "frames" else self.iterations
         progress = self._progress(min(iteration / length, 1.0))
         value = self.initial + (self.final - self.initial) * progress

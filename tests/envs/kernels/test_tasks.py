@@ -90,7 +90,7 @@ def test_the_best_return_of_deep_sea(size):
 
 @pytest.mark.parametrize("size", [3, 10])
 def test_the_best_return_of_stochastic_deep_sea(size):
-    """Always going right is what bsuite calls optimal; who has failed once may save the cost."""
+    """Always going right is what bsuite calls optimal; a failed agent can save the cost."""
     always = (1 - 1 / size) ** (size - 1) - 0.01
     best = best_of_deep_sea(size, True)
     assert always < best < always + 0.01

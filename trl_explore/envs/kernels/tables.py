@@ -66,7 +66,7 @@ class RiverSwim(TableEnv):
 
     The chain of Strehl & Littman 2008, "An analysis of model-based interval estimation", with the
     numbers of Osband, Russo & Van Roy 2013, "(More) efficient reinforcement learning via posterior
-    sampling", who use 6 states and 20 steps.
+    sampling", with 6 states and 20 steps.
 
     Args:
         size: the number of states, from 3 to 1000.
