@@ -1,4 +1,4 @@
-"""What the site has beside the pages of docs/: the README as its first page, examples/, measurements.
+"""What the site has beside the pages of docs/: the README, examples/, the measurements.
 
 Links are written for a reader of the repository, so that they work on GitHub, and are changed here.
 """
