@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from trl_explore.collectors import auto_collector
     from trl_explore.envs import make_env
-    from trl_explore.jobs.reading import read_frame
+    from trl_explore.jobs.frame import read_frame
     from trl_explore.objectives import ReinforceLoss
     from trl_explore.policies import LinearPolicy
     from trl_explore.strategies import (
@@ -45,7 +45,7 @@ _PLACES = {
     "Trainer": "training.trainer",
     "auto_collector": "collectors",
     "make_env": "envs",
-    "read_frame": "jobs.reading",
+    "read_frame": "jobs.frame",
 }
 """The module of each name that is not a strategy."""
 
