@@ -126,6 +126,11 @@ def _check(config: DictConfig) -> None:
         raise ConfigError(
             f"evaluate_policy must be one of {', '.join(POLICIES)}, got {config.evaluate_policy!r}"
         )
+    if not isinstance(config.keep_weights, ListConfig):
+        raise ConfigError(
+            "keep_weights must be a list of iterations, such as [0,10,50], "
+            f"got {config.keep_weights!r}"
+        )
     if config.stop_on == "evaluation":
         raise ConfigError("stop_on=evaluation is now stop_on=learned")
 
@@ -139,6 +144,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.record import Trials
+    from trl_explore.training.snapshots import Snapshots
     from trl_explore.training.trainer import Trainer
     from trl_explore.training.visits import Visits
 
@@ -188,6 +194,8 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
         visits = Visits(env, size)
         diagnostics = Diagnostics(actor, strategy, size, policy.parameters(), visits)
     evaluator = _evaluator(config, env, policy, strategy, size, streams)
+    kept, cap = config.keep_weights, config.max_iterations
+    snapshots = _build(None, lambda: Snapshots(policy, kept, cap)) if kept else None
     intrinsic = _build(None, lambda: _intrinsic(config, env, policy, size, streams))
     return _build(
         None,
@@ -199,6 +207,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
             evaluator=evaluator,
             diagnostics=diagnostics,
             intrinsic=intrinsic,
+            snapshots=snapshots,
         ),
     )
 

@@ -23,7 +23,8 @@ from trl_explore.statistics.outcomes import STATUSES
 
 TRIALS, EPISODES, SCALARS = "trials.csv", "episodes.csv", "scalars"
 EVALUATIONS, TIMINGS = "evaluations.csv", "timings.csv"
-WEIGHTS, VISITS, RUN = "weights.safetensors", "visits.safetensors", "run.json"
+WEIGHTS, KEPT, VISITS = "weights.safetensors", "kept_weights.safetensors", "visits.safetensors"
+RUN = "run.json"
 RUN_KEYS = {
     "config": (dict,), "strategy": (str,), "experiment": (str,), "trials": (int,),
     "versions": (dict,), "seed": (int,), "collector": (str,), "seconds": (int, float),
