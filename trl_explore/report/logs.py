@@ -21,8 +21,7 @@ from trl_explore.logs.runs import Run
 from trl_explore.report.build import PAGE, TABLES, _clear, _fresh, _write, _write_table
 from trl_explore.report.figures.axes import handle, legend_above, new_figure, number, plain_numbers
 from trl_explore.report.page import environment
-from trl_explore.report.render import theme_css, to_png, to_svg
-from trl_explore.report.style import INK, Style, styles, visual_language
+from trl_explore.report.style import INK, Style, styles, theme_css, to_png, to_svg, visual_language
 from trl_explore.report.tables import Column, Record, Table
 from trl_explore.statistics.comparisons import Comparison, Measure, compare_pairs
 from trl_explore.statistics.estimates import LEVEL, Estimate, flat, pass_rate
