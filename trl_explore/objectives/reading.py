@@ -10,7 +10,7 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
 from trl_explore.objectives.episodes import Episodes, Layout
-from trl_explore.strategies.strategy import read
+from trl_explore.strategies.frames import read
 
 
 class Keys(Protocol):

@@ -30,7 +30,7 @@ from trl_explore.policies.actor import (
     is_softmax,
 )
 from trl_explore.strategies import BaseStrategy
-from trl_explore.strategies.strategy import read
+from trl_explore.strategies.frames import read
 
 REDUCTIONS = ("sum", "mean", "none")
 EPS = 1e-8

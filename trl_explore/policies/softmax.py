@@ -51,12 +51,7 @@ class LinearPolicy(TensorDictModule):
         settle(cls, "linear_softmax", False, ["forward"])
 
     def __init__(
-        self,
-        env: EnvBase,
-        *,
-        init: str = "glorot_uniform",
-        seed: int = 0,
-        first_trial: int = 0,
+        self, env: EnvBase, *, init: str = "glorot_uniform", seed: int = 0, first_trial: int = 0
     ) -> None:
         (trials,) = env.batch_size
         sizes = [n_features(env), n_actions(env)]

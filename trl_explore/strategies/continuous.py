@@ -1,31 +1,22 @@
-"""Strategies over vectors of real numbers: the base class and the mixture family."""
+"""Strategies over vectors of real numbers: the base class."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from functools import reduce
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import cast
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 from torchrl.data.tensor_specs import ContinuousBox
 
-from trl_explore.checks import check_flag, holds, settle
-from trl_explore.numerics.densities import gaussian_log_prob
-from trl_explore.strategies.schedules import Value
-from trl_explore.strategies.strategy import (
-    BaseStrategy,
-    exploring,
-    numbers,
-    present,
-    read,
-    rows,
-)
+from trl_explore.checks import check_flag
+from trl_explore.strategies.frames import read
+from trl_explore.strategies.strategy import BaseStrategy, exploring
+
+SATURATED = 1 - 2**-20
+"""The largest tanh, so that an action rounded to float32 is within the box and has a density."""
 
 
 class ContinuousStrategy(BaseStrategy):
@@ -198,128 +189,3 @@ class ContinuousStrategy(BaseStrategy):
         low, high = self._box(action)
         y = (2 * (action - low) / (high - low) - 1).clamp(-SATURATED, SATURATED)
         return y.atanh(), ((high - low) / 2 * (1 - y * y)).log().sum(-1)
-
-
-COLDEST = 1e-6
-"""The smallest temperature; a Gaussian of scale 0 has no density."""
-BELOW_ONE = 1 - 2**-53
-"""The largest number below 1."""
-SATURATED = 1 - 2**-20
-"""The largest tanh, so that an action rounded to float32 is within the box and has a density."""
-
-
-class ContinuousMixture(NamedTuple):
-    """The weights and temperature in one iteration; each a number [], or one per trial [trials].
-
-    The weights are non-negative and sum to 1; the temperature is >= 0 and kept at 1e-6 or above.
-    """
-
-    mean: Value | Tensor = 0.0
-    gaussian: Value | Tensor = 0.0
-    uniform: Value | Tensor = 0.0
-    temperature: Value | Tensor = 1.0
-
-
-class ContinuousMixtureStrategy(ContinuousStrategy):
-    """A mixture of the mean, the Gaussian and the uniform distribution over the box.
-
-    μ(·|s) = w_mean · δ(loc) + w_gaussian · N(loc, diag((T · scale)²)) + w_uniform · U(low, high)
-
-    the counterpart of the discrete ``MixtureStrategy``. The last noise number chooses the component
-    (in increasing order: uniform, Gaussian, mean). The others go through the component's inverse
-    CDF, one per dimension:
-
-        a_j = low_j + u_j (high_j − low_j)  or  a_j = loc_j + T scale_j Φ⁻¹(u_j)
-
-    so that all strategies of the family use the same random numbers. A subclass returns the weights
-    and T for the current iteration from ``mixture``. If w_mean is not always 0, μ has no density,
-    and the subclass sets ``exact = False``.
-
-    Attributes:
-        mixes_policy: whether ``mixture`` mixes the Gaussian of the target policy itself. False in a
-            class that overrides one of the methods in ``REPLACED``, unless the class declares it.
-    """
-
-    REPLACED = ("forward", "draw", "log_prob")
-    mixes_policy: ClassVar[bool] = True
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        super().__init_subclass__(**options)
-        settle(cls, "mixes_policy", False, cls.REPLACED)
-
-    @abstractmethod
-    def mixture(self) -> ContinuousMixture:
-        """Weights and temperature in the current iteration."""
-
-    def bind(
-        self,
-        policy: TensorDictModuleBase,
-        trials: int,
-        *,
-        seed: int | None = None,
-        first_trial: int = 0,
-    ) -> None:
-        """Connect the strategy to its target policy."""
-        super().bind(policy, trials, seed=seed, first_trial=first_trial)
-        for name, value in self.mixture()._asdict().items():
-            if np.shape(value) not in ((), (trials,)):
-                raise ValueError(f"{name} has {len(value)} values, but there are {trials} trials")
-
-    def on_policy(self) -> bool | NDArray[np.bool_]:
-        """Whether μ is the Gaussian of the policy: the mixture is Gaussian alone, at T = 1."""
-        mean, _, uniform, temperature = map(np.asarray, numbers(self.mixture()))
-        if not (self.mixes_policy and holds(self, "mixes_policy", self.REPLACED)):
-            return False
-        found = np.equal(mean, 0) & np.equal(uniform, 0) & np.equal(temperature, 1)
-        return found if np.ndim(found) else bool(found)
-
-    def draw(self, loc: Tensor, scale: Tensor, noise: Tensor, trial: Tensor | None) -> Tensor:
-        """The action [*batch, n_dims] for noise [*batch, n_dims + 1]."""
-        point = self.mixture()
-        mean, _, uniform, temperature = self._point(point, trial, loc)
-        corner, u = noise[..., -1:].clamp(max=BELOW_ONE), noise[..., :-1]
-        action = self._squash(loc)
-        if present(point.gaussian):
-            # Φ⁻¹ is finite only strictly between 0 and 1.
-            z = torch.special.ndtri(u.clamp(1 - BELOW_ONE, BELOW_ONE))
-            moved = self._squash(loc + temperature * scale * z)
-            action = torch.where(corner < 1 - mean, moved, action)
-        if present(point.uniform):
-            low, high = self._box(loc)
-            action = torch.where(corner < uniform, low + u * (high - low), action)
-        return action
-
-    def log_prob(
-        self, action: Tensor, loc: Tensor, scale: Tensor, trial: Tensor | None = None
-    ) -> Tensor:
-        """Log density log μ(a|s) [*batch] in the current iteration."""
-        if not self.exact:
-            return super().log_prob(action, loc, scale, trial)
-        self._check(loc)
-        point = self.mixture()
-        _, gaussian, uniform, temperature = self._point(point, trial, loc)
-        terms: list[Tensor] = []
-        if present(point.gaussian):
-            x, log_slope = self._unsquash(action)
-            log_prob = gaussian_log_prob(x, loc, temperature * scale) - log_slope
-            terms.append(log_prob + gaussian.log().squeeze(-1))
-        if present(point.uniform):
-            low, high = self._box(loc)
-            inside = ((low <= action) & (action <= high)).all(-1)
-            log_prob = uniform.log().squeeze(-1) - (high - low).log().sum(-1)
-            terms.append(torch.where(inside, log_prob, -torch.inf))
-        return reduce(_log_sum, terms)
-
-    def _point(self, point: ContinuousMixture, trial: Tensor | None, loc: Tensor) -> list[Tensor]:
-        """The weights of mean, Gaussian and uniform, and T: each [], or a column [*batch, 1]."""
-        values = (rows(value, trial, loc) for value in point)
-        *weights, temperature = (
-            torch.as_tensor(value, dtype=loc.dtype, device=loc.device) for value in values
-        )
-        return [*weights, temperature.clamp(min=COLDEST)]
-
-
-def _log_sum(a: Tensor, b: Tensor) -> Tensor:
-    """log(eᵃ + eᵇ); unlike torch's, independent of the position in the tensor."""
-    distance = (a - b).abs().nan_to_num(torch.inf, torch.inf)  # both −∞
-    return torch.maximum(a, b) + torch.log1p(torch.exp(-distance))

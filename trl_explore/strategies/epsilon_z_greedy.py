@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,10 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
 from trl_explore.checks import check_integer, check_number
-from trl_explore.strategies.first_frames import FirstFrames
+from trl_explore.strategies.discrete import Strategy
+from trl_explore.strategies.frames import FirstFrames, rows
 from trl_explore.strategies.mixture import Mixture, mixture_probs
-from trl_explore.strategies.schedules import Schedule
-from trl_explore.strategies.strategy import Strategy, rows
+from trl_explore.strategies.schedules import Parameter
 
 
 class EpsilonZGreedy(Strategy):
@@ -37,10 +36,10 @@ class EpsilonZGreedy(Strategy):
 
     Each frame of a batch is the next frame of a lane, its position in the batch. ``begin`` ends the
     repetition of a lane; for collectors that do not call it, so does the first frame of an episode,
-    see ``strategies.first_frames``.
+    see ``strategies.frames``.
 
     Args:
-        epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
+        epsilon: ε in [0, 1], a number, one number per trial, or a schedule.
         mu: the exponent, > 1; smaller values give longer repetitions.
         max_duration: N >= 1.
         is_init_key: the entry that marks the first frame of an episode.
@@ -68,7 +67,7 @@ class EpsilonZGreedy(Strategy):
 
     def __init__(
         self,
-        epsilon: float | Sequence[float] | Schedule = 0.1,
+        epsilon: Parameter = 0.1,
         mu: float = 2.0,
         max_duration: int = 10_000,
         is_init_key: NestedKey = "is_init",

@@ -1,14 +1,111 @@
-"""Strategies for Gaussian policies: mean, Gaussian, uniform, and mixtures of two."""
+"""Mixtures of the mean, the Gaussian and uniform, for Gaussian policies."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from abc import abstractmethod
+from functools import reduce
+from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor
 
-from trl_explore.strategies.continuous import ContinuousMixture, ContinuousMixtureStrategy
-from trl_explore.strategies.schedules import Schedule
+from trl_explore.numerics.densities import gaussian_log_prob
+from trl_explore.strategies.continuous import ContinuousStrategy
+from trl_explore.strategies.frames import rows
+from trl_explore.strategies.mixture import MixtureFamily, present
+from trl_explore.strategies.schedules import Parameter, Value
+
+COLDEST = 1e-6
+"""The smallest temperature; a Gaussian of scale 0 has no density."""
+BELOW_ONE = 1 - 2**-53
+"""The largest number below 1."""
+
+
+class ContinuousMixture(NamedTuple):
+    """The weights and temperature in one iteration; each a number [], or one per trial [trials].
+
+    The weights are non-negative and sum to 1; the temperature is >= 0 and kept at 1e-6 or above.
+    """
+
+    mean: Value | Tensor = 0.0
+    gaussian: Value | Tensor = 0.0
+    uniform: Value | Tensor = 0.0
+    temperature: Value | Tensor = 1.0
+
+
+class ContinuousMixtureStrategy(MixtureFamily, ContinuousStrategy):
+    """A mixture of the mean, the Gaussian and the uniform distribution over the box.
+
+    μ(·|s) = w_mean · δ(loc) + w_gaussian · N(loc, diag((T · scale)²)) + w_uniform · U(low, high)
+
+    the counterpart of the discrete ``MixtureStrategy``. The last noise number chooses the component
+    (in increasing order: uniform, Gaussian, mean). The others go through the component's inverse
+    CDF, one per dimension:
+
+        a_j = low_j + u_j (high_j − low_j)  or  a_j = loc_j + T scale_j Φ⁻¹(u_j)
+
+    so that all strategies of the family use the same random numbers. A subclass returns the weights
+    and T for the current iteration from ``mixture``. If w_mean is not always 0, μ has no density,
+    and the subclass sets ``exact = False``.
+    """
+
+    REPLACED = ("forward", "draw", "log_prob")
+    mixes_policy = True
+
+    @abstractmethod
+    def mixture(self) -> ContinuousMixture:
+        """Weights and temperature in the current iteration."""
+
+    def draw(self, loc: Tensor, scale: Tensor, noise: Tensor, trial: Tensor | None) -> Tensor:
+        """The action [*batch, n_dims] for noise [*batch, n_dims + 1]."""
+        point = self.mixture()
+        mean, _, uniform, temperature = self._point(point, trial, loc)
+        corner, u = noise[..., -1:].clamp(max=BELOW_ONE), noise[..., :-1]
+        action = self._squash(loc)
+        if present(point.gaussian):
+            # Φ⁻¹ is finite only strictly between 0 and 1.
+            z = torch.special.ndtri(u.clamp(1 - BELOW_ONE, BELOW_ONE))
+            moved = self._squash(loc + temperature * scale * z)
+            action = torch.where(corner < 1 - mean, moved, action)
+        if present(point.uniform):
+            low, high = self._box(loc)
+            action = torch.where(corner < uniform, low + u * (high - low), action)
+        return action
+
+    def log_prob(
+        self, action: Tensor, loc: Tensor, scale: Tensor, trial: Tensor | None = None
+    ) -> Tensor:
+        """Log density log μ(a|s) [*batch] in the current iteration."""
+        if not self.exact:
+            return super().log_prob(action, loc, scale, trial)
+        self._check(loc)
+        point = self.mixture()
+        _, gaussian, uniform, temperature = self._point(point, trial, loc)
+        terms: list[Tensor] = []
+        if present(point.gaussian):
+            x, log_slope = self._unsquash(action)
+            log_prob = gaussian_log_prob(x, loc, temperature * scale) - log_slope
+            terms.append(log_prob + gaussian.log().squeeze(-1))
+        if present(point.uniform):
+            low, high = self._box(loc)
+            inside = ((low <= action) & (action <= high)).all(-1)
+            log_prob = uniform.log().squeeze(-1) - (high - low).log().sum(-1)
+            terms.append(torch.where(inside, log_prob, -torch.inf))
+        return reduce(_log_sum, terms)
+
+    def _point(self, point: ContinuousMixture, trial: Tensor | None, loc: Tensor) -> list[Tensor]:
+        """The weights of mean, Gaussian and uniform, and T: each [], or a column [*batch, 1]."""
+        values = (rows(value, trial, loc) for value in point)
+        *weights, temperature = (
+            torch.as_tensor(value, dtype=loc.dtype, device=loc.device) for value in values
+        )
+        return [*weights, temperature.clamp(min=COLDEST)]
+
+
+def _log_sum(a: Tensor, b: Tensor) -> Tensor:
+    """log(eᵃ + eᵇ); unlike torch's, independent of the position in the tensor."""
+    distance = (a - b).abs().nan_to_num(torch.inf, torch.inf)  # both −∞
+    return torch.maximum(a, b) + torch.log1p(torch.exp(-distance))
 
 
 class MeanAction(ContinuousMixtureStrategy):
@@ -68,7 +165,7 @@ class Gaussian(ContinuousMixtureStrategy):
     T → 0 gives the mean action. T is kept at 1e-6 or above, because at 0 there is no density.
 
     Args:
-        temperature: T > 0, a number, one number per trial, or a schedule of the iteration.
+        temperature: T > 0, a number, one number per trial, or a schedule.
         options: the arguments of ``ContinuousStrategy``.
 
     Raises:
@@ -85,11 +182,9 @@ class Gaussian(ContinuousMixtureStrategy):
     differentiable = True
     temperature: Tensor
 
-    def __init__(
-        self, temperature: float | Sequence[float] | Schedule = 1.0, **options: Any
-    ) -> None:
+    def __init__(self, temperature: Parameter = 1.0, **options: Any) -> None:
         super().__init__(**options)
-        self.follow("temperature", temperature, 0, float("inf"), low_open=True)
+        self.follow("temperature", temperature, low_open=True)
 
     def mixture(self) -> ContinuousMixture:
         """All weight on the Gaussian."""
@@ -104,7 +199,7 @@ class EpsilonUniform(ContinuousMixtureStrategy):
     the counterpart of ``EpsilonSoftmax``. Its density is exact, outside the box too.
 
     Args:
-        epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
+        epsilon: ε in [0, 1], a number, one number per trial, or a schedule.
         options: the arguments of ``ContinuousStrategy``.
 
     Raises:
@@ -124,7 +219,7 @@ class EpsilonUniform(ContinuousMixtureStrategy):
     boxed = True
     epsilon: Tensor
 
-    def __init__(self, epsilon: float | Sequence[float] | Schedule = 0.3, **options: Any) -> None:
+    def __init__(self, epsilon: Parameter = 0.3, **options: Any) -> None:
         super().__init__(**options)
         self.follow("epsilon", epsilon, 0, 1)
 
@@ -142,7 +237,7 @@ class EpsilonMean(EpsilonUniform):
     importance weight exists. ``EpsilonUniform`` has one.
 
     Args:
-        epsilon: ε in [0, 1], a number, one number per trial, or a schedule of the iteration.
+        epsilon: ε in [0, 1], a number, one number per trial, or a schedule.
         options: the arguments of ``ContinuousStrategy``.
 
     Raises:

@@ -16,9 +16,9 @@ from torch.func import functional_call
 from trl_explore.checks import check_number
 from trl_explore.numerics.score import lane_sum
 from trl_explore.numerics.streams import Stream, generator
-from trl_explore.strategies.first_frames import FirstFrames
+from trl_explore.strategies.frames import FirstFrames
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
-from trl_explore.strategies.schedules import Schedule
+from trl_explore.strategies.schedules import Parameter
 
 Parameters = dict[str, Tensor]
 
@@ -41,11 +41,11 @@ class ParameterNoise(MixtureStrategy):
     Call ``bind`` to set the policy. A collector of this package calls ``begin``; the first
     dimension of every parameter of the policy is then the trial, and with a single trial any shape
     works. With any other collector every lane of the batch has a perturbation ξ of its own, which
-    the first frame of an episode replaces (see ``strategies.first_frames``), and d is the mean over
+    the first frame of an episode replaces (see ``strategies.frames``), and d is the mean over
     the frames since the last ``step`` that this copy of the strategy has seen.
 
     Args:
-        sigma: σ >= 0, a number, one number per trial, or a schedule of the iteration.
+        sigma: σ >= 0, a number, one number per trial, or a schedule.
         temperature: T >= 0, in the same forms as ``sigma``; 0 gives argmax.
         threshold: > 0, the target for d; None: σ does not adapt.
         factor: > 1.
@@ -64,23 +64,22 @@ class ParameterNoise(MixtureStrategy):
 
     def __init__(
         self,
-        sigma: float | Sequence[float] | Schedule = 0.1,
-        temperature: float | Sequence[float] | Schedule = 1.0,
+        sigma: Parameter = 0.1,
+        temperature: Parameter = 1.0,
         threshold: float | None = 0.1,
         factor: float = 1.01,
         is_init_key: NestedKey = "is_init",
         **options: Any,
     ) -> None:
         super().__init__(**options)
-        self.follow("sigma", sigma, 0, float("inf"))
-        self.follow("temperature", temperature, 0, float("inf"))
+        self.follow("sigma", sigma)
+        self.follow("temperature", temperature)
         self.threshold = threshold
         if threshold is not None:
             self.threshold = check_number("threshold", threshold, 0, low_open=True)
         self.factor = check_number("factor", factor, 1, low_open=True)
         self.register_buffer("scale", torch.ones(1, dtype=torch.float64))
         self._policy: tuple[TensorDictModuleBase, ...] = ()  # a tuple: not a submodule
-        self._whom = (0, 0)  # seed, first trial
         self._first = FirstFrames(str(type(self).__name__), is_init_key)
         self._forget(1)
 
@@ -91,23 +90,15 @@ class ParameterNoise(MixtureStrategy):
         self._xi = torch.zeros(0, 0)  # of the lanes of this process: no buffer
         self._kl = torch.zeros(2, dtype=torch.float64)  # sum and number of frames
 
-    def bind(
-        self,
-        policy: TensorDictModuleBase,
-        trials: int,
-        *,
-        seed: int | None = None,
-        first_trial: int = 0,
-    ) -> None:
+    def allocate(self, policy: TensorDictModuleBase, trials: int) -> None:
         """Set the policy whose parameters are perturbed."""
-        super().bind(policy, trials, seed=seed, first_trial=first_trial)
         for name, parameter in policy.named_parameters():
             if trials > 1 and (parameter.ndim == 0 or len(parameter) != trials):
                 raise ValueError(
                     f"the first dimension of every parameter must be the {trials} trials, "
                     f"got {name} of shape {list(parameter.shape)}"
                 )
-        self._policy, self._whom = (policy,), (seed or 0, first_trial)
+        self._policy = (policy,)
         ones = torch.ones(trials, dtype=torch.float64, device=self.scale.device)
         self.register_buffer("scale", ones)
         self._forget(trials)
@@ -123,9 +114,9 @@ class ParameterNoise(MixtureStrategy):
         size = sum(p.numel() for p in own.values()) // trials
         if self._noise_of.shape[1] != size:
             self._noise_of = np.zeros((trials, size))
-        seed, first_trial = self._whom
         for k in np.flatnonzero(active).tolist():
-            stream = generator(seed, Stream.STRATEGY, first_trial + k, int(episodes[k]))
+            trial = self._first_trial + k
+            stream = generator(self._seed, Stream.STRATEGY, trial, int(episodes[k]))
             self._noise_of[k] = stream.standard_normal(size)
         noise = torch.from_numpy(self._noise_of * self._sigma()[:, None])
         if not self._center:

@@ -1,9 +1,4 @@
-"""Schedules: functions of the iteration, or of the number of frames.
-
-Each parameter of a strategy is a schedule, so a decaying parameter needs no new strategy class.
-Iterations count from 0 and advance once per update of a trial. Frames advance by the number of
-frames given to the strategy's ``step``.
-"""
+"""Schedules: functions of the iteration, or of the number of frames, for any parameter."""
 
 from __future__ import annotations
 
@@ -24,30 +19,36 @@ Value = float | NDArray[np.float64]
 class Schedule(ABC):
     """A function i -> value of the iteration i = 0, 1, 2, ..., or of the number of frames.
 
-    The value is one number for all trials, or an array [trials] with one per trial.
+    An iteration is one update of a trial. Frames are those given to the strategy's ``step``. The
+    value is one number for all trials, or an array [trials] with one per trial.
 
     Attributes:
         clock: what i counts, "iterations" or "frames".
+        bounds: the smallest and largest value that the schedule takes or approaches.
     """
 
     clock = "iterations"
+    bounds: tuple[float, float]
 
     @abstractmethod
     def __call__(self, iteration: int) -> Value:
         """The value in ``iteration``, counted from 0."""
 
-    @property
-    @abstractmethod
-    def bounds(self) -> tuple[float, float]:
-        """The smallest and largest value that the schedule takes or approaches."""
+    def _within(self, value: float) -> float:
+        """The value, which rounding may have moved out of the bounds."""
+        low, high = self.bounds
+        return min(max(value, low), high)
 
     def __repr__(self) -> str:
-        arguments = ", ".join(f"{name}={value}" for name, value in vars(self).items())
-        return f"{type(self).__name__}({arguments})"
+        own = (f"{name}={value}" for name, value in vars(self).items() if name != "bounds")
+        return f"{type(self).__name__}({', '.join(own)})"
 
 
 class Constant(Schedule):
-    """value(i) = value, one number, or one per trial.
+    """value(i) = value.
+
+    Args:
+        value: one number, or one per trial.
 
     Raises:
         ValueError: if a value is not a finite number.
@@ -64,33 +65,19 @@ class Constant(Schedule):
         values: Any = value
         if isinstance(value, str) or np.ndim(value) == 0:
             self.value = check_number("value", _scalar(value))
-        elif np.ndim(value) != 1 or len(values) == 0:
-            raise ValueError(f"value must be a number or one number per trial, got {value}")
-        else:
+        elif np.ndim(value) == 1 and np.size(value):
             self.value = np.array([check_number("value", _scalar(v)) for v in values])
+        else:
+            raise ValueError(f"value must be a number or one number per trial, got {value}")
+        self.bounds = _span(self.value)
 
     def __call__(self, iteration: int) -> Value:
         """The value in ``iteration``, counted from 0."""
         return self.value
 
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """The smallest and largest value."""
-        return float(np.min(self.value)), float(np.max(self.value))
-
 
 class _Walk(Schedule):
-    """From ``initial`` at 0 to ``final`` after some iterations or frames, then constant.
-
-    Args:
-        initial: the value at 0.
-        final: the value at the end and later.
-        iterations: the number of iterations until ``final``, > 0.
-        frames: the number of frames until ``final``, > 0; in place of ``iterations``.
-
-    Raises:
-        ValueError: if an argument is not finite, or not exactly one length >= 1 is given.
-    """
+    """From ``initial`` at 0 to ``final`` after some iterations or frames, then constant."""
 
     def __init__(
         self,
@@ -102,6 +89,7 @@ class _Walk(Schedule):
     ) -> None:
         self.initial = check_number("initial", initial)
         self.final = check_number("final", final)
+        self.bounds = _span([initial, final])
         if frames is None:
             self.iterations = check_integer("iterations", iterations, 1)
         elif iterations is None:
@@ -113,28 +101,28 @@ class _Walk(Schedule):
             )
 
     def __call__(self, iteration: int) -> float:
-        """The value after ``iteration`` iterations, or frames if the clock counts frames."""
+        """The value in ``iteration``, counted from 0."""
         length = self.frames if self.clock == "frames" else self.iterations
         progress = self._progress(min(iteration / length, 1.0))
-        value = self.initial + (self.final - self.initial) * progress
-        low, high = self.bounds
-        return min(max(value, low), high)  # rounding must not leave the bounds
+        return self._within(self.initial + (self.final - self.initial) * progress)
 
     @abstractmethod
     def _progress(self, time: float) -> float:
         """The fraction of the change done after a fraction of the time, both in [0, 1]."""
 
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """The smallest and largest value."""
-        return min(self.initial, self.final), max(self.initial, self.final)
-
 
 class Linear(_Walk):
     """value(i) = initial + (final − initial) · min(i / iterations, 1).
 
-    With ``frames`` in place of ``iterations``, i counts frames. Raises ValueError unless
-    ``initial`` and ``final`` are finite and the length is >= 1.
+    Args:
+        initial: the value at 0.
+        final: the value at the end and later.
+        iterations: the number of iterations until ``final``, >= 1.
+        frames: the number of frames until ``final``, >= 1, in place of ``iterations``; i is then
+            the number of frames.
+
+    Raises:
+        ValueError: if a value is not finite, or not exactly one length >= 1 is given.
 
     Example:
         >>> [Linear(1.0, 0.0, iterations=4)(i) for i in (0, 1, 4, 9)]
@@ -149,8 +137,17 @@ class Cosine(_Walk):
     """value(i) = final + (initial − final) · (1 + cos(π · min(i / iterations, 1))) / 2.
 
     Slow at both ends and fastest in the middle (Loshchilov & Hutter 2017, "SGDR", eq. 5, without
-    restarts). With ``frames`` in place of ``iterations``, i counts frames. Raises ValueError unless
-    ``initial`` and ``final`` are finite and the length is >= 1.
+    restarts).
+
+    Args:
+        initial: the value at 0.
+        final: the value at the end and later.
+        iterations: the number of iterations until ``final``, >= 1.
+        frames: the number of frames until ``final``, >= 1, in place of ``iterations``; i is then
+            the number of frames.
+
+    Raises:
+        ValueError: if a value is not finite, or not exactly one length >= 1 is given.
 
     Example:
         >>> [round(Cosine(1.0, 0.0, iterations=3)(i), 6) for i in (0, 1, 2, 3, 9)]
@@ -179,16 +176,11 @@ class Exponential(Schedule):
     def __init__(self, initial: float, decay: float) -> None:
         self.initial = check_number("initial", initial)
         self.decay = check_number("decay", decay, 0, 1)
+        self.bounds = _span([initial, initial if decay == 1 else 0])
 
     def __call__(self, iteration: int) -> float:
         """The value in ``iteration``, counted from 0."""
         return self.initial * self.decay**iteration
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """The smallest and largest value."""
-        limit = self.initial if self.decay == 1 else 0.0
-        return min(self.initial, limit), max(self.initial, limit)
 
 
 class Inverse(Schedule):
@@ -214,16 +206,11 @@ class Inverse(Schedule):
         self.initial = check_number("initial", initial)
         self.rate = check_number("rate", rate, 0)
         self.power = check_number("power", power, 0, low_open=True)
+        self.bounds = _span([initial, initial if rate == 0 else 0])
 
     def __call__(self, iteration: int) -> float:
         """The value in ``iteration``, counted from 0."""
         return self.initial * (1 + self.rate * iteration) ** -self.power
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """The smallest and largest value; the limit is 0."""
-        limit = self.initial if self.rate == 0 else 0.0
-        return min(self.initial, limit), max(self.initial, limit)
 
 
 class Piecewise(Schedule):
@@ -257,19 +244,12 @@ class Piecewise(Schedule):
         iterations = [i for i, _ in self.knots]
         if any(a >= b for a, b in pairwise(iterations)):
             raise ValueError(f"the iterations of the knots must ascend, got {iterations}")
+        self.bounds = _span([value for _, value in self.knots])
 
     def __call__(self, iteration: int) -> float:
         """The value in ``iteration``, counted from 0."""
         iterations, values = zip(*self.knots, strict=True)
-        value = float(np.interp(iteration, iterations, values))
-        low, high = self.bounds
-        return min(max(value, low), high)  # rounding must not leave the bounds
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """The smallest and largest value."""
-        values = [value for _, value in self.knots]
-        return min(values), max(values)
+        return self._within(float(np.interp(iteration, iterations, values)))
 
 
 class Rows(Schedule):
@@ -286,25 +266,20 @@ class Rows(Schedule):
 
     def __init__(self, schedule: Schedule, rows: slice) -> None:
         self.schedule, self.rows, self.clock = schedule, rows, schedule.clock
+        self.bounds = schedule.bounds
 
     def __call__(self, iteration: int) -> Value:
-        """The values in ``iteration``, counted from 0."""
+        """The value in ``iteration``, counted from 0."""
         value = self.schedule(iteration)
         return value[self.rows] if isinstance(value, np.ndarray) else value
 
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """The bounds over all trials."""
-        return self.schedule.bounds
+
+Parameter = float | Sequence[float] | Schedule
+"""A parameter of a strategy: a number, one number per trial, or a schedule."""
 
 
 def as_schedule(
-    name: str,
-    value: float | Sequence[float] | Schedule,
-    low: float,
-    high: float,
-    *,
-    low_open: bool = False,
+    name: str, value: Parameter, low: float, high: float, *, low_open: bool = False
 ) -> Schedule:
     """A schedule from a number, a list of one number per trial, or a schedule.
 
@@ -312,8 +287,7 @@ def as_schedule(
         ValueError: if the schedule takes a value outside the bounds.
     """
     if not isinstance(value, Schedule):
-        single = isinstance(value, str) or np.ndim(value) == 0
-        numbers: Any = [value] if single else value
+        numbers: Any = [value] if isinstance(value, str) or np.ndim(value) == 0 else value
         for number in numbers:
             check_number(name, _scalar(number), low, high, low_open=low_open)
         return Constant(value)
@@ -323,6 +297,10 @@ def as_schedule(
     if low_open and np.any(value(0) == low):
         check_number(name, low, low, high, low_open=True)
     return value
+
+
+def _span(values: Value | Sequence[float]) -> tuple[float, float]:
+    return float(np.min(values)), float(np.max(values))
 
 
 def _scalar(value: Any) -> Any:

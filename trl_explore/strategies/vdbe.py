@@ -11,8 +11,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from trl_explore.checks import check_number
+from trl_explore.strategies.frames import read
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
-from trl_explore.strategies.strategy import read
 
 
 class VDBE(MixtureStrategy):
@@ -76,16 +76,8 @@ class VDBE(MixtureStrategy):
         self.score_key = score_key
         self._reset(1)
 
-    def bind(
-        self,
-        policy: TensorDictModuleBase,
-        trials: int,
-        *,
-        seed: int | None = None,
-        first_trial: int = 0,
-    ) -> None:
+    def allocate(self, policy: TensorDictModuleBase, trials: int) -> None:
         """Reset ε and V of every trial."""
-        super().bind(policy, trials, seed=seed, first_trial=first_trial)
         self._reset(trials)
 
     def _reset(self, trials: int) -> None:

@@ -7,7 +7,7 @@ from tensordict import TensorDictBase
 from torch import nn
 
 from trl_explore.checks import check_number
-from trl_explore.strategies.counts import VisitCounts
+from trl_explore.strategies.count_bonus import VisitCounts
 
 
 class CountReward(nn.Module):

@@ -13,7 +13,7 @@ from trl_explore.checks import check_number
 from trl_explore.numerics.layers import lane_linear
 from trl_explore.objectives.baselines.baseline import Baseline
 from trl_explore.objectives.episodes import Episodes
-from trl_explore.strategies.strategy import read
+from trl_explore.strategies.frames import read
 
 
 class LinearValue(Baseline):

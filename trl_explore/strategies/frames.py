@@ -1,12 +1,50 @@
-"""Where episodes begin, in the data of collectors that do not say so to the strategy."""
+"""What strategies read from the frames of a TensorDict."""
 
 from __future__ import annotations
 
 import warnings
+from typing import cast
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
+
+from trl_explore.strategies.schedules import Value
+
+
+def read(tensordict: TensorDictBase, key: NestedKey) -> Tensor:
+    """The entry under ``key``.
+
+    Raises:
+        KeyError: if it is missing; the message names the entries that are there.
+    """
+    value = tensordict.get(key, None)
+    if value is None:
+        there = ", ".join(map(str, tensordict.keys(include_nested=True, leaves_only=True)))
+        raise KeyError(f"missing key: {key!r}; the data have {there or 'no entries'}")
+    return value
+
+
+def padding_mask(data: TensorDictBase) -> Tensor:
+    """Whether a frame is one of the data, not padding of TorchRL's ``split_trajs`` [*batch]."""
+    mask = data.get(("collector", "mask"), None)
+    if mask is None:
+        return torch.ones(data.batch_size, dtype=torch.bool, device=data.device)
+    return mask.reshape(data.batch_size)
+
+
+def rows(value: Value | Tensor, trial: Tensor | None, like: Tensor) -> float | Tensor:
+    """A number as it is, or per-trial values as a column [*batch, 1] in the dtype of ``like``.
+
+    Raises:
+        ValueError: if the value is per trial and ``trial`` is None.
+    """
+    if getattr(value, "ndim", 0) == 0:
+        return cast("float | Tensor", value)
+    if trial is None:
+        raise ValueError("missing key: 'trial' (a parameter has one value per trial)")
+    column = torch.as_tensor(value, dtype=like.dtype, device=like.device)[trial]
+    return column.reshape(column.shape + (1,) * (like.ndim - column.ndim))
 
 
 class FirstFrames:

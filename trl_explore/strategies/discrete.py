@@ -1,0 +1,274 @@
+"""Strategies over n actions: the base class, and sampling by inverse CDF."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, cast
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+from torch._C._functorch import is_batchedtensor
+from torchrl.data import Categorical, MultiCategorical, MultiOneHot, OneHot, TensorSpec
+
+from trl_explore.strategies.frames import read
+from trl_explore.strategies.strategy import BaseStrategy, exploring
+
+
+class Strategy(BaseStrategy):
+    """A behaviour distribution μ(·|s) over n actions, made from the logits of a target policy.
+
+    A subclass defines ``probs(logits)``. The action is drawn by inverse CDF from one uniform number
+    u in [0, 1) per frame:
+
+        a = min{k : Σ_{j ≤ k} μ(j|s) > u}
+
+    The strategy explores if TorchRL's exploration type is RANDOM or unset. Under MODE, MEAN or
+    DETERMINISTIC it takes the first action of largest logit, with log-probability 0.
+
+    Reads "logits" [*batch, n_actions] and, if present, "action_mask" [*batch, n_actions] (bool
+    or 0 and 1; False: μ forbids the action). A mask in the spec (``spec.update_mask``, TorchRL's
+    ``ActionMask``) is obeyed too.
+    Writes "action" ([*batch] int64, or one-hot [*batch, n_actions] under a ``OneHot`` spec) and
+    "action_log_prob" [*batch] (nats, under μ; float32 for logits of lower precision).
+
+    Under ``MultiOneHot`` and ``MultiCategorical`` the logits of the heads are joined,
+    [*batch, Σ n_h]. Every head draws its own action, and the log-probabilities are added.
+
+    The module works in any TorchRL project, after any module that writes logits or action values
+    (``logits_key="action_value"``). A collector of this package also calls ``bind`` once, ``begin``
+    before every episode and ``step`` after every update.
+
+    Args:
+        spec: the action spec (``Categorical``, ``OneHot``, ``MultiCategorical`` or ``MultiOneHot``,
+            possibly in a ``Composite``); None: actions are indices.
+        logits_key: the entry with the preferences.
+        action_key: the entry to write the action to.
+        action_mask_key: the entry with the mask; None: "action_mask" in the group of the action.
+        log_prob_key: the entry to write the log-probability to; None: beside the action, with the
+            suffix "_log_prob".
+        noise_key: the entry with uniform numbers in [0, 1) that decide the draw ([*batch], or
+            [*batch, heads]); None: there is none, except from a collector of this package.
+        trial_key: the entry with the trial of each frame [*batch]; read only if a parameter or the
+            state differs between trials.
+        validate_args: whether to check that every state has an allowed action with a finite logit.
+            In compiled code and on a GPU the check is ``torch._assert_async``.
+
+    Raises:
+        ValueError: if the spec is of another kind, or a state has no action to draw.
+    """
+
+    actions = "discrete"
+    _index: Tensor
+
+    def __init__(
+        self,
+        *,
+        spec: TensorSpec | None = None,
+        logits_key: NestedKey = "logits",
+        action_key: NestedKey = "action",
+        action_mask_key: NestedKey | None = None,
+        log_prob_key: NestedKey | None = None,
+        noise_key: NestedKey | None = None,
+        trial_key: NestedKey = "trial",
+        validate_args: bool = True,
+    ) -> None:
+        super().__init__(
+            [logits_key],
+            action_key=action_key,
+            log_prob_key=log_prob_key,
+            noise_key=noise_key,
+            trial_key=trial_key,
+        )
+        self.logits_key, self.validate_args = logits_key, validate_args
+        self.action_mask_key = action_mask_key or self._beside("action_mask")
+        self.spec = None if spec is None else self._leaf(spec)
+        self._heads = _heads(self.spec)
+        if len(self._heads) > 1:
+            width, total = max(self._heads), sum(self._heads)
+            index = torch.full((len(self._heads), width), total)
+            for head, part in zip(index, torch.arange(total).split(self._heads), strict=True):
+                head[: len(part)] = part
+            self.register_buffer("_index", index, persistent=False)
+
+    @abstractmethod
+    def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
+        """μ(·|s) [*batch, n_actions] in the current iteration; 0 for an action of logit −∞.
+
+        Args:
+            logits: [*batch, n_actions].
+            trial: [*batch] int64, needed only if parameters differ between trials.
+        """
+        raise NotImplementedError(f"{type(self).__name__} does not define probs")
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Draw "action" from μ and write "action_log_prob"."""
+        logits = self._masked(tensordict, read(tensordict, self.logits_key))
+        n_actions = logits.shape[-1]
+        if exploring():
+            batch = logits.shape[:-1]
+            if len(self._heads) > 1:
+                batch = torch.Size((*batch, len(self._heads)))
+            noise = self._noise(tensordict, batch, logits.device)
+            action, log_prob = self.explore(tensordict, logits, noise)
+        else:
+            logits = self._split(logits)
+            action = logits.argmax(-1)
+            largest = logits.gather(-1, action.unsqueeze(-1)).squeeze(-1)
+            self._check(largest, -torch.inf, logits, tensordict)
+            log_prob = torch.zeros_like(largest)
+        tensordict.set(self.action_key, self._encode(action, n_actions))
+        if log_prob is not None and self.exact:
+            if len(self._heads) > 1:
+                log_prob = log_prob.sum(-1)
+            tensordict.set(self.log_prob_key, log_prob)
+        return tensordict
+
+    def _masked(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
+        """The logits in float32 or float64, −∞ where a mask forbids the action.
+
+        Raises:
+            ValueError: if the logits do not fit the spec, or a mask does not fit the logits.
+        """
+        if self._heads and logits.shape[-1] != sum(self._heads):
+            raise ValueError(
+                f"{self.logits_key!r} has {logits.shape[-1]} entries per frame, "
+                f"but the action spec has {sum(self._heads)} actions"
+            )
+        if logits.dtype in (torch.float16, torch.bfloat16):  # too coarse for probabilities
+            logits = logits.float()
+        mask = tensordict.get(self.action_mask_key, None)
+        if mask is not None:
+            if mask.shape != logits.shape:
+                raise ValueError(
+                    f"{self.action_mask_key!r} is {list(mask.shape)}, but the logits are "
+                    f"{list(logits.shape)}"
+                )
+            logits = torch.where(mask.bool(), logits, -torch.inf)
+        mask = getattr(self.spec, "mask", None)
+        if mask is not None:
+            logits = torch.where(mask.to(logits.device).expand(logits.shape), logits, -torch.inf)
+        return logits
+
+    def _split(self, logits: Tensor) -> Tensor:
+        """The logits of the heads [*batch, heads, n], padded with −∞; of one head as they are."""
+        if len(self._heads) < 2:
+            return logits
+        return torch.nn.functional.pad(logits, (0, 1), value=-torch.inf)[..., self._index]
+
+    def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
+        """The input of ``probs``: by default, the logits of the target policy.
+
+        Args:
+            tensordict: the frames.
+            logits: [*batch, n_actions], masked: −∞ where an action is forbidden; keep it there.
+        """
+        return logits
+
+    def explore(
+        self, tensordict: TensorDictBase, logits: Tensor, noise: Tensor
+    ) -> tuple[Tensor, Tensor | None]:
+        """Draw from μ(·|s).
+
+        Args:
+            tensordict: the frames.
+            logits: [*batch, n_actions], masked.
+            noise: [*batch], or [*batch, noise_size].
+
+        Returns:
+            The action [*batch] and its log-probability [*batch], None if there is no exact one.
+        """
+        logits = self._split(self.preferences(tensordict, logits))
+        probs = self.probs(logits, self._trial(tensordict))
+        action = self._draw(probs, noise, logits, tensordict)
+        return action.squeeze(-1), probs.gather(-1, action).squeeze(-1).log()
+
+    def _draw(
+        self, probs: Tensor, noise: Tensor, logits: Tensor, tensordict: TensorDictBase
+    ) -> Tensor:
+        """The action [*batch, 1] by inverse CDF, checked."""
+        cdf = probs.cumsum(-1, dtype=torch.float64)
+        total = cdf[..., -1:]
+        self._check(total, 0.0, logits, tensordict)
+        return _search(cdf, total, noise.unsqueeze(-1))
+
+    def _check(self, found: Tensor, low: float, logits: Tensor, tensordict: TensorDictBase) -> None:
+        """Check that every state has an action to draw: ``found`` is above ``low``, not NaN.
+
+        Raises:
+            ValueError: if one has none, and not because the policy's output is NaN.
+        """
+        if not self.validate_args or not found.numel():
+            return
+        if torch.compiler.is_compiling() or not found.is_cpu:
+            message = "a state has no allowed action with a finite logit"
+            cast(Any, torch)._assert_async((found > low).all(), message)
+        elif not is_batchedtensor(found) and not found.min().item() > low:
+            bad = ~(found.reshape(logits.shape[:-1]) > low) & ~logits.isnan().any(-1)
+            mask = tensordict.get(self.action_mask_key, None)
+            if mask is not None and not mask.bool().any(-1).all():
+                raise ValueError("the action mask forbids every action of a state")
+            # Our trainer stops a trial that diverges, and goes on with the others.
+            if bad.any() and not self._trained_here:
+                raise ValueError(
+                    f"a state has no allowed action with a finite logit: in {self.logits_key!r} "
+                    "every action that the mask allows has -inf, or one has inf"
+                )
+
+    def _encode(self, action: Tensor, n_actions: int) -> Tensor:
+        """The action in the form of the spec."""
+        if self.spec is None:
+            return action
+        if isinstance(self.spec, OneHot):
+            if len(self._heads) > 1:
+                hot = action.unsqueeze(-1) == torch.arange(max(self._heads), device=action.device)
+                action = hot.flatten(-2)[..., self._index.flatten() < n_actions]
+            else:
+                action = action.unsqueeze(-1) == torch.arange(n_actions, device=action.device)
+        return action.to(self.spec.dtype)
+
+
+def _heads(spec: TensorSpec | None) -> list[int]:
+    """The number of actions of each head of a spec; [] without a spec.
+
+    Raises:
+        ValueError: if the spec is of another kind.
+    """
+    if spec is None:
+        return []
+    if type(spec) in (Categorical, OneHot):
+        return [int(cast(Any, spec.space).n)]
+    if isinstance(spec, MultiOneHot):
+        return [int(box.n) for box in cast(Any, spec.space)]
+    if isinstance(spec, MultiCategorical):
+        sizes = spec.nvec.reshape(-1, spec.nvec.shape[-1])
+        if bool((sizes == sizes[0]).all()):
+            return sizes[0].tolist()
+    raise ValueError(
+        "the action spec must be Categorical, OneHot, MultiCategorical or MultiOneHot, "
+        f"got {type(spec).__name__}"
+    )
+
+
+def inverse_cdf(probs: Tensor, noise: Tensor) -> Tensor:
+    """The action a = min{k : Σ_{j ≤ k} p_j > u · Σ_j p_j} [*batch] for u = ``noise`` [*batch].
+
+    Sums are in float64. Rounding never selects an action of probability 0: u is kept so far below 1
+    that u times the computed sum is below the sum.
+
+    Args:
+        probs: [*batch, n_actions], non-negative.
+        noise: [*batch], uniform in [0, 1).
+
+    Example:
+        >>> inverse_cdf(torch.tensor([0.25, 0.0, 0.75]), torch.tensor(0.25))
+        tensor(2)
+    """
+    cdf = probs.cumsum(-1, dtype=torch.float64)
+    return _search(cdf, cdf[..., -1:], noise.unsqueeze(-1)).squeeze(-1)
+
+
+def _search(cdf: Tensor, total: Tensor, noise: Tensor) -> Tensor:
+    """The first action whose cumulative sum is above the noise [*batch, 1]."""
+    point = noise.double().clamp(max=1 - 2**-52) * total
+    return (cdf <= point).sum(-1, keepdim=True)  # 0 where the sums are NaN

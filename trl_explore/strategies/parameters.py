@@ -1,0 +1,166 @@
+"""Parameters that follow schedules, and the clocks that move them."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from trl_explore.checks import check_integer
+from trl_explore.strategies.frames import padding_mask
+from trl_explore.strategies.schedules import (
+    Constant,
+    Parameter,
+    Rows,
+    Schedule,
+    Value,
+    as_schedule,
+)
+
+
+class Parametrised(TensorDictModuleBase):
+    """A module whose parameters (ε, a temperature, ...) follow schedules.
+
+    What changes is in buffers, so that it reaches copies in other processes and on other devices:
+    ``iteration``, ``frames``, and the present value of every schedule under the name of its
+    parameter.
+
+    Args:
+        trial_key: the entry with the trial of each frame.
+    """
+
+    iteration: Tensor
+    frames: Tensor
+
+    def __init__(self, trial_key: NestedKey) -> None:
+        super().__init__()
+        self.trial_key = trial_key
+        self.register_buffer("iteration", torch.zeros((), dtype=torch.int64))
+        self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
+        self.schedules: dict[str, Schedule] = {}
+        self._reads_trial = False
+
+    def follow(
+        self,
+        name: str,
+        value: Parameter,
+        low: float = 0.0,
+        high: float = float("inf"),
+        *,
+        low_open: bool = False,
+    ) -> None:
+        """Make a parameter follow a schedule: ``self.NAME`` is its value in the present iteration.
+
+        Args:
+            name: the name of the buffer: [], or [trials] if it differs between trials; float64.
+            value: the parameter.
+            low: the smallest value that is allowed.
+            high: the largest value that is allowed.
+            low_open: whether ``low`` itself is not allowed.
+
+        Raises:
+            ValueError: if the parameter leaves the bounds.
+        """
+        self.schedules[name] = as_schedule(name, value, low, high, low_open=low_open)
+        self._place(name)
+
+    def _place(self, name: str) -> None:
+        """Allocate the buffer of a parameter."""
+        value = torch.tensor(self._value(name), dtype=torch.float64, device=self.iteration.device)
+        self.register_buffer(name, value)
+        self._reads_trial |= value.ndim > 0
+
+    def _value(self, name: str) -> Value:
+        """The present value of a schedule."""
+        schedule = self.schedules[name]
+        clock = self.frames if schedule.clock == "frames" else self.iteration
+        if clock.ndim:
+            return np.array([schedule(time) for time in clock.tolist()])
+        return schedule(int(clock))
+
+    def spread(self, trials: int) -> None:
+        """Serve ``trials`` trials; each counts its own frames, as episodes differ in length.
+
+        Raises:
+            ValueError: if a per-trial parameter does not have one value for every trial.
+        """
+        self._per_trial(trials)
+        self._reads_trial |= trials > 1
+        timed = [name for name, schedule in self.schedules.items() if schedule.clock == "frames"]
+        if trials > 1 and timed:
+            self.frames = torch.zeros(trials, dtype=torch.int64, device=self.frames.device)
+            for name in timed:
+                self._place(name)
+
+    def take(self, rows: slice, trials: int) -> None:
+        """Keep only some of the ``trials`` trials: cut every per-trial parameter to their rows."""
+        for name in self._per_trial(trials):
+            self.schedules[name] = Rows(self.schedules[name], rows)
+            self._place(name)
+
+    def _per_trial(self, trials: int) -> list[str]:
+        """The parameters with one value per trial, which must be ``trials`` values."""
+        found = [name for name in self.schedules if getattr(self, name).ndim]
+        for name in found:
+            if len(getattr(self, name)) != trials:
+                raise ValueError(
+                    f"{name} has {len(getattr(self, name))} values, but there are {trials} trials"
+                )
+        return found
+
+    def step(self, frames: TensorDictBase | int | None = None) -> None:
+        """Advance by one iteration; called once per update.
+
+        ``step(data)`` and ``step(n)``, as TorchRL's trainers call it, also advance the number of
+        frames.
+
+        Args:
+            frames: the frames of the iteration, needed if ``learns_from_data``, or their number.
+                None is one frame.
+
+        Raises:
+            ValueError: if more than one frame is given as a number, and a schedule counts
+                iterations.
+        """
+        number = self._number(frames)
+        self.iteration += 1
+        self.frames += number
+        self._refresh()
+
+    def keep_pace(self, other: Parametrised) -> None:
+        """Go to the iteration and number of frames of another module."""
+        self.iteration.copy_(other.iteration)
+        self.frames = other.frames.clone()
+        self._refresh()
+
+    def _refresh(self) -> None:
+        """Give every parameter the present value of its schedule."""
+        for name, schedule in self.schedules.items():
+            if type(schedule) is not Constant:
+                buffer = getattr(self, name)
+                value = torch.as_tensor(self._value(name), dtype=torch.float64)
+                if value.shape == buffer.shape:
+                    buffer.copy_(value)  # in place: shared memory and compiled code see it
+                else:
+                    self._place(name)
+
+    def _number(self, frames: TensorDictBase | int | None) -> int | Tensor:
+        """The number of frames; [trials] if trials are counted separately."""
+        if frames is None:
+            return 1
+        if isinstance(frames, TensorDictBase):
+            valid = padding_mask(frames)
+            if self.frames.ndim:
+                trial = frames.get(self.trial_key)[valid]
+                return torch.bincount(trial, minlength=len(self.frames)).to(self.frames.device)
+            return int(valid.sum())
+        number = check_integer("the number of frames", frames, 0)
+        for name, schedule in self.schedules.items():
+            if number > 1 and schedule.clock != "frames" and type(schedule) is not Constant:
+                raise ValueError(
+                    f"step({number}) is {number} frames, but the schedule of {name} counts "
+                    "iterations: give the schedule frames=..., or call step() once per update"
+                )
+        return number
