@@ -42,13 +42,16 @@ TRACEBACK = "TRL_EXPLORE_TRACEBACK"
 """Environment variable, inherited by workers; set if the user asked for full tracebacks."""
 
 
-def run(config: DictConfig) -> None:
-    """Run one job, in this process or in a worker of a launcher, and record how it ended."""
+def run(config: DictConfig) -> float | list[float] | None:
+    """Run one job, in this process or in a worker of a launcher, and record how it ended.
+
+    Returns its objective if the sweeper optimises one; a job that failed has the worst.
+    """
     folder = configuration.current_folder()
     if configuration.is_repeated():
         with suppress(OSError):
             folder.rmdir()  # created by Hydra
-        return
+        return None
     if configuration.is_worker():
         begin_worker()
     try:
@@ -73,6 +76,8 @@ def run(config: DictConfig) -> None:
         configuration.end_job(folder, str(error) or "interrupted", record=False)
     else:
         configuration.end_job(folder)
+        return configuration.returned(config, folder)
+    return configuration.returned(config, None)
 
 
 def begin_worker() -> None:
@@ -264,6 +269,8 @@ def sweep() -> int:
         failed = [job for job in jobs if job.error]
         if finished:
             show(finished)
+            if text := configuration.best(finished[0].parent):
+                print(text)
     except Exception as error:
         signals.check()
         if TRACEBACK in os.environ or not isinstance(error, (HydraException, *EXPECTED)):

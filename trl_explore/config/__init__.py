@@ -9,6 +9,7 @@ from trl_explore.config.building import build_shards, build_trainer, fill_thresh
 from trl_explore.config.checking import check_keys, describe, differences, resolved, unreadable
 from trl_explore.config.files import CONF, GROUPS, INERT, ConfigError, files_of, search_in
 from trl_explore.config.naming import job_name, register_resolvers
+from trl_explore.config.objective import best, returned
 from trl_explore.config.sweeping import (
     Ended,
     collect,
@@ -27,6 +28,7 @@ __all__ = [
     "INERT",
     "ConfigError",
     "Ended",
+    "best",
     "build_shards",
     "build_trainer",
     "check_keys",
@@ -45,6 +47,7 @@ __all__ = [
     "job_name",
     "register_resolvers",
     "resolved",
+    "returned",
     "save_hydra",
     "search_in",
     "unreadable",

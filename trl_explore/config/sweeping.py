@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+import time
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
@@ -80,6 +81,11 @@ class Sweep(Callback):
         if not self.missing:
             with suppress(Exception):  # Hydra meets the same error and raises it
                 self.place = Path(str(config.hydra.sweep.dir)).absolute()
+                if not config.hydra.sweeper._target_.endswith(".BasicSweeper"):
+                    # It chooses jobs by the results of earlier ones, and writes into this folder.
+                    self.place.mkdir(parents=True, exist_ok=True)
+                    sweeps.begin_sweep(self.place, [])
+                    return
                 folders, self.others = _plan(config)
                 for sweep, names in _by_sweep(folders).items():
                     sweep.mkdir(parents=True, exist_ok=True)
@@ -195,10 +201,11 @@ def collect(start: Callable[[], object]) -> list[Ended]:
     """Let Hydra run the jobs; return how each one ended, in order.
 
     Raises:
-        ConfigError: if the chosen launcher is not installed.
+        ConfigError: if the chosen launcher is not installed, or no job was run.
         Exception: the exception of Hydra, if the jobs cannot be composed.
     """
     _State.leads, _State.repeated, _State.sweep, _State.ended = True, False, None, []
+    begun = time.time()
     reason = CUT
     try:
         start()
@@ -213,11 +220,22 @@ def collect(start: Callable[[], object]) -> list[Ended]:
         if _State.sweep is not None and _State.sweep.place is not None:
             for sweep in {_State.sweep.place, *_by_sweep(_State.sweep.folders)}:
                 sweeps.end_sweep(sweep)
-    if _State.sweep is None or not _State.sweep.folders:
-        return _State.ended
     here = {job.folder.absolute(): job for job in _State.ended}
-    folders = dict.fromkeys(_State.sweep.folders)
+    if _State.sweep is None:
+        return _State.ended
+    folders = dict.fromkeys(_State.sweep.folders or [*here, *_since(_State.sweep.place, begun)])
+    if not folders:
+        raise ConfigError("no job was run")
     return [here.get(folder) or _from_files(folder, reason) for folder in folders]
+
+
+def _since(sweep: Path | None, begun: float) -> list[Path]:
+    """The jobs of a sweep that ended in any process since a time, if they were not planned."""
+    if sweep is None:
+        return []
+    failed = [sweep / name for name in sweeps.read_failures(sweep)]
+    done = [run.parent for run in sweep.glob(f"*/{sweeps.RUN}") if run.stat().st_mtime >= begun]
+    return [*done, *failed]
 
 
 def _from_files(folder: Path, reason: str) -> Ended:
