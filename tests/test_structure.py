@@ -33,6 +33,7 @@ ROOMS = (
     "config",
     "thesis",
     "report",
+    "show",
     "commands",
 )
 """From the bottom up: a module imports from its own room and from those before it."""
@@ -42,7 +43,7 @@ USERS = {
     "llvmlite": ("numerics",),
     "hydra": ("config", "commands"),
     "omegaconf": ("config", "commands"),
-    "matplotlib": ("report",),
+    "matplotlib": ("report", "show"),
     "jinja2": ("report",),
     f"{NAME}.thesis": ("thesis", "report"),
 }

@@ -17,6 +17,7 @@ from trl_explore.jobs import signals
 COMMANDS = {
     "train": "train agents: one job, or a sweep of jobs (-m)",
     "report": "turn job and sweep folders into one HTML page",
+    "watch": "film agents of finished jobs, side by side",
     "status": "show which jobs are done, running, failed or left",
     "time": "time single trials of finished jobs",
     "verify": "run finished jobs again and compare the results",
