@@ -23,6 +23,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from trl_explore.checks import first_line
+from trl_explore.config.awaiting import await_all
 from trl_explore.config.building import is_multirun
 from trl_explore.config.files import ConfigError
 from trl_explore.config.naming import register_resolvers
@@ -84,6 +85,7 @@ class Sweep(Callback):
                     sweep.mkdir(parents=True, exist_ok=True)
                     sweeps.begin_sweep(sweep, names)
                 self.folders = folders
+            await_all(config.hydra.launcher._target_, _State.reasons.append)
 
     def on_job_start(self, config: DictConfig, **arguments: Any) -> None:
         """Record whether the job that starts in this process is a duplicate."""
@@ -100,6 +102,8 @@ class _State:
     repeated = False
     sweep: Sweep | None = None
     ended: list[Ended]
+    reasons: list[str]
+    """How the cluster ended each job, in the order of the jobs; see ``await_all``."""
 
 
 def _plan(config: DictConfig) -> tuple[list[Path], set[int]]:
@@ -197,7 +201,8 @@ def collect(start: Callable[[], object]) -> list[Ended]:
         ConfigError: if the chosen launcher is not installed.
         Exception: the exception of Hydra, if the jobs cannot be composed.
     """
-    _State.leads, _State.repeated, _State.sweep, _State.ended = True, False, None, []
+    _State.leads, _State.repeated, _State.sweep = True, False, None
+    _State.ended, _State.reasons = [], []
     reason = CUT
     try:
         start()
@@ -216,7 +221,9 @@ def collect(start: Callable[[], object]) -> list[Ended]:
         return _State.ended
     here = {job.folder.absolute(): job for job in _State.ended}
     folders = dict.fromkeys(_State.sweep.folders)
-    return [here.get(folder) or _from_files(folder, reason) for folder in folders]
+    reasons = zip(_State.sweep.folders, _State.reasons, strict=False)
+    lost = {folder: f"{why}; run the same command to resume" for folder, why in reasons if why}
+    return [here.get(folder) or _from_files(folder, lost.get(folder, reason)) for folder in folders]
 
 
 def _from_files(folder: Path, reason: str) -> Ended:
