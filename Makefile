@@ -1,5 +1,6 @@
 # make thesis: build the environment, run the thesis's experiments, write the report
 # make test:   run the linter, the type checker and all tests
+# make docs:   build the documentation; open site/index.html
 
 PYTHON ?= python3
 VENV := .venv
@@ -10,7 +11,7 @@ OUT ?= outputs
 KILLS ?= 300
 SEED ?= 0
 
-.PHONY: help env thesis test lint bench soak test-slurm test-ray test-pythons test-lowest clean
+.PHONY: help env thesis test lint docs bench soak test-slurm test-ray test-pythons test-lowest clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -39,6 +40,9 @@ lint: $(READY)
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+docs: $(READY)
+	$(BIN)/mkdocs build --quiet
 
 # make bench:  measure the speed and write results.md, stepping.md and networks.md in benchmarks/
 bench: $(READY)

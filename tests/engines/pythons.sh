@@ -12,6 +12,9 @@ tests=(tests/test_golden.py tests/test_core.py tests/strategies/test_strategies.
   tests/commands/test_verify.py tests/report/test_render.py)
 job=(experiment=debug trials=20 max_iterations=200 score_window=100 score_threshold=400 threads=2)
 
+mkdir -p "$folder"
+[ -e "$folder/uv/bin/uv" ] || { python3 -m venv "$folder/uv"; "$folder/uv/bin/pip" install --quiet uv; }
+
 first=
 for name in ${PYTHONS:-python3.11 python3.12 python3.13 python3.14}; do
   if ! version=$("$name" -c 'import platform; print(platform.python_version())' 2>/dev/null); then
@@ -22,7 +25,8 @@ for name in ${PYTHONS:-python3.11 python3.12 python3.13 python3.14}; do
   if [ ! -e "$env/ready" ]; then
     rm -rf "$env"
     "$name" -m venv "$env"
-    "$env/bin/python" -m pip install --quiet --constraint constraints.txt '.[lab]' pytest hypothesis
+    "$folder/uv/bin/uv" pip install --quiet --python "$env/bin/python" \
+      --constraint constraints.txt '.[lab]' pytest hypothesis
     touch "$env/ready"
   fi
   said=$("$env/bin/python" -m pytest -q -p no:cacheprovider "${tests[@]}" 2>&1) || {

@@ -132,12 +132,12 @@ def run(place: Path) -> None:
     """Three times the same command; the last one finishes the sweep."""
     sweep = Sweep(place, [SHORT, CANCELLED, LIMITED, WAITING])
     words = [
-        "output_dir=cluster", "hydra/launcher=submitit_slurm", "hydra.launcher.mem_gb=1",
+        "hydra/launcher=submitit_slurm", "hydra.launcher.mem_gb=1",
         f"hydra.launcher.timeout_min={MINUTES}", "hydra.launcher.signal_delay_s=5",
     ]  # fmt: skip
 
     sweep.pace(SLOW)
-    command = sweep.start(*words, log="first.log")
+    command = sweep.start(*words)
     until("both long jobs train", lambda: all(map(sweep.has_begun, (CANCELLED, LIMITED))), command)
     slurm("scontrol", "hold", number(sweep, WAITING, "PD"))
     slurm("scancel", number(sweep, CANCELLED))
@@ -146,24 +146,24 @@ def run(place: Path) -> None:
     slurm("scancel", number(sweep, WAITING))
     sweep.pace(FAST)
     assert command.wait(PATIENCE) == 1, "two jobs were cancelled"
-    said = (place / "first.log").read_text()
+    said = sweep.said()
     assert said.count("CANCELLED); run the same command to resume") == 4, said  # listed twice
     assert "2 of 4 jobs failed" in said, said
     assert sweep.is_done(LIMITED), "the requeued job did not end"
     assert sweep.has_begun(CANCELLED), "the cancelled job has lost its checkpoint"
 
     sweep.pace(SLOW)
-    command = sweep.start(*words, "hydra.launcher.max_num_timeout=0", log="second.log")
+    command = sweep.start(*words, "hydra.launcher.max_num_timeout=0")
     until("the cancelled job trains", lambda: number(sweep, CANCELLED, "R"), command)
     end_soon(number(sweep, CANCELLED))
     assert command.wait(PATIENCE) == 1, "one job reached its time limit"
-    said = (place / "second.log").read_text()
+    said = sweep.said()
     assert "timed-out too many times" in said, said
     assert "1 of 4 jobs failed" in said, said
 
     sweep.pace(FAST)
-    command = sweep.start(*words, log="third.log")
-    assert command.wait(PATIENCE) == 0, (place / "third.log").read_text()
+    command = sweep.start(*words)
+    assert command.wait(PATIENCE) == 0, sweep.said()
     sweep.check_files()
 
 

@@ -35,15 +35,10 @@ def skip(reason: str) -> NoReturn:
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """A new folder, removed at the end; if the test fails, its logs are printed first."""
+    """A new folder, removed at the end, also if this process is terminated."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that daemons are ended
     with tempfile.TemporaryDirectory() as name:
-        try:
-            yield Path(name)
-        except BaseException:
-            for log in sorted(Path(name).glob("*.log")):
-                print(f"{log}:\n{log.read_text(errors='replace')[-2000:]}")
-            raise
+        yield Path(name)
 
 
 class Sweep:
@@ -53,18 +48,24 @@ class Sweep:
         self.place, self.lengths, self.wait = place, lengths, place / "wait"
         self.environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(HERE)])}
         self.serial, self.cluster = place / "serial" / "debug", place / "cluster" / "debug"
-        ended = self.start("output_dir=serial").wait()
-        assert ended == 0, "the serial sweep failed"
+        self.log = place / "command.log"
+        assert self.start().wait() == 0, self.said()
         self.environment["TRL_EXPLORE_WAIT"] = str(self.wait)
 
-    def start(self, *words: str, log: str = "serial.log") -> subprocess.Popen[bytes]:
-        """Start the command; ``log`` gets its output."""
-        with (self.place / log).open("wb") as file:
+    def start(self, *words: str) -> subprocess.Popen[bytes]:
+        """Start the command in the folder of ``cluster``, or of ``serial`` without words."""
+        folder = (self.cluster if words else self.serial).parent
+        with self.log.open("wb") as file:
             return subprocess.Popen(
                 [sys.executable, str(ROOT / "scripts" / "train.py"), *WORDS,
-                 f"max_iterations={','.join(map(str, self.lengths))}", *words],
+                 f"max_iterations={','.join(map(str, self.lengths))}",
+                 f"output_dir={folder.name}", *words],
                 cwd=self.place, env=self.environment, stdout=file, stderr=subprocess.STDOUT,
             )  # fmt: skip
+
+    def said(self) -> str:
+        """What the last command printed."""
+        return self.log.read_text(errors="replace")
 
     def pace(self, seconds: str) -> None:
         """How long a step takes from now on, in every job."""
@@ -100,5 +101,5 @@ def until(what: str, holds: Callable[[], object], process: subprocess.Popen | No
     deadline = time.monotonic() + PATIENCE
     while not holds():
         assert time.monotonic() < deadline, f"not within {PATIENCE} s: {what}"
-        assert process is None or process.poll() is None, f"the command ended before: {what}"
+        assert process is None or process.poll() is None, f"the command ended before {what}"
         time.sleep(0.3)
