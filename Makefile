@@ -12,7 +12,7 @@ OUT ?= outputs
 KILLS ?= 300
 SEED ?= 0
 
-.PHONY: help env thesis test lint lesson docs bench soak clean
+.PHONY: help env thesis test lint lesson docs bench soak test-slurm test-ray test-pythons test-lowest clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -58,6 +58,20 @@ bench: $(READY)
 # make soak:   kill a sweep at random times, KILLS times, and compare every file
 soak: $(READY)
 	$(BIN)/python tests/soak/kill.py --kills $(KILLS) --seed $(SEED)
+
+# make test-slurm, test-ray: run a sweep on a Slurm and on a Ray cluster that are started for it
+test-slurm: $(READY)
+	$(BIN)/python tests/engines/slurm.py
+
+test-ray:
+	PYTHON=$(PYTHON) tests/engines/ray.sh
+
+# make test-pythons, test-lowest: test under other Pythons, and with the lowest versions of packages
+test-pythons:
+	tests/engines/pythons.sh
+
+test-lowest:
+	PYTHON=$(PYTHON) tests/engines/lowest.sh
 
 clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .ruff_cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from subprocess import CalledProcessError
 
 import pytest
 
@@ -41,3 +42,75 @@ def test_a_second_signal_after_a_while_ends_the_process_at_once(interrupts):
     with pytest.raises(SystemExit) as ended:
         interrupts._handle(signal.SIGINT, None)
     assert ended.value.code == 130
+
+
+def asked(signum, frame):
+    """As submitit's handler: requeue the job, and exit."""
+    raise SystemExit(-1)
+
+
+def refused(signum, frame):
+    raise RuntimeError("timed-out too many times")
+
+
+def ended_with(code):
+    """As submitit's handler if ``scontrol`` did not end well."""
+
+    def handle(signum, frame):
+        raise CalledProcessError(code, "scontrol")
+
+    return handle
+
+
+@pytest.fixture
+def on_requeue():
+    """Set the handler that a launcher would set."""
+    before = signal.getsignal(signal.SIGUSR2)
+    yield lambda handler: signal.signal(signal.SIGUSR2, handler)
+    signal.signal(signal.SIGUSR2, before)
+
+
+def test_a_requeue_waits_until_the_job_is_saved(on_requeue, monkeypatch):
+    monkeypatch.setattr(signals, "_received", [])
+    on_requeue(asked)
+    handled = Interrupts(lambda: None)
+    with handled, handled.deferred():
+        os.kill(os.getpid(), signal.SIGUSR2)  # does not call the handler of the launcher
+        error, handled.pending = handled.pending, None
+    assert error is not None
+    assert signal.getsignal(signal.SIGUSR2) is asked
+    with pytest.raises(SystemExit) as ended:
+        signals.end_in_launcher(error)
+    assert ended.value.code == 128 + signal.SIGUSR2
+
+
+def test_a_requeue_before_training_releases_the_lock_and_leaves(on_requeue, monkeypatch):
+    monkeypatch.setattr(signals, "_received", [])
+    monkeypatch.setattr(signals, "leave", lambda error: order.append("left"))
+    order = []
+    on_requeue(lambda *_: order.append("requeued"))
+    with Interrupts(lambda: order.append("released")) as handled:
+        os.kill(os.getpid(), signal.SIGUSR2)
+        handled.pending = None
+    assert order == ["released", "requeued", "left"]
+
+
+@pytest.mark.parametrize(
+    ("handler", "error"),
+    [
+        (ended_with(-signal.SIGTERM), SystemExit),  # Slurm ended scontrol with the job
+        (ended_with(1), CalledProcessError),
+        (refused, RuntimeError),
+    ],
+)
+def test_a_requeue_that_fails(on_requeue, handler, error):
+    on_requeue(handler)
+    with pytest.raises(error):
+        signals.end_in_launcher(Interrupted(signal.SIGUSR2))
+
+
+def test_a_signal_without_a_handler_is_not_touched(monkeypatch):
+    monkeypatch.setattr(signals, "_received", [])
+    assert signal.getsignal(signal.SIGUSR2) == signal.SIG_DFL
+    with Interrupts(lambda: None):
+        assert signal.getsignal(signal.SIGUSR2) == signal.SIG_DFL

@@ -73,11 +73,22 @@ def run(config: DictConfig) -> float | list[float] | None:
     except KeyboardInterrupt as error:
         if not configuration.is_worker():
             raise
-        configuration.end_job(folder, str(error) or "interrupted", record=False)
+        end_interrupted(folder, error)
     else:
         configuration.end_job(folder)
         return configuration.returned(config, folder)
     return configuration.returned(config, None)
+
+
+def end_interrupted(folder: Path, error: KeyboardInterrupt) -> None:
+    """End a job of a launcher after a signal; Slurm may be asked to start it again."""
+    configuration.end_job(folder, str(error) or "interrupted", record=False)
+    if str(configuration.current_choices().get("hydra/launcher")).startswith("submitit"):
+        try:
+            signals.end_in_launcher(error)
+        except Exception as refused:
+            line = configuration.describe(refused)
+            configuration.end_job(folder, f"{line}; run the same command to resume")
 
 
 def begin_worker() -> None:

@@ -45,7 +45,9 @@ def _sweep_folder(*, _root_: DictConfig) -> str:
     if not output:
         raise ConfigError("output_dir must be the name of a folder, got an empty value")
     expanded = Path(output).expanduser() if output.startswith("~") else Path(output)
-    return str(expanded / (_choices(_root_).get("experiment") or "train"))
+    here = OmegaConf.select(_root_, "hydra.runtime.cwd", throw_on_missing=False) or ""
+    # Absolute, because a node of Ray works in another folder than the command.
+    return str(Path(here, expanded, _choices(_root_).get("experiment") or "train"))
 
 
 def _job_name(*, _root_: DictConfig) -> str:

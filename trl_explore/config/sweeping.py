@@ -26,6 +26,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from trl_explore.checks import first_line
+from trl_explore.config.awaiting import await_all
 from trl_explore.config.files import ConfigError
 from trl_explore.config.naming import register_resolvers
 from trl_explore.jobs import sweeps
@@ -91,6 +92,7 @@ class Sweep(Callback):
                     sweep.mkdir(parents=True, exist_ok=True)
                     sweeps.begin_sweep(sweep, names)
                 self.folders = folders
+            await_all(config.hydra.launcher._target_, _State.reasons.append)
 
     def on_job_start(self, config: DictConfig, **arguments: Any) -> None:
         """Record whether the job that starts in this process is a duplicate."""
@@ -107,6 +109,8 @@ class _State:
     repeated = False
     sweep: Sweep | None = None
     ended: list[Ended]
+    reasons: list[str]
+    """How the cluster ended each job, in the order of the jobs; see ``await_all``."""
 
 
 def _plan(config: DictConfig) -> tuple[list[Path], set[int]]:
@@ -204,7 +208,8 @@ def collect(start: Callable[[], object]) -> list[Ended]:
         ConfigError: if the chosen launcher is not installed, or no job was run.
         Exception: the exception of Hydra, if the jobs cannot be composed.
     """
-    _State.leads, _State.repeated, _State.sweep, _State.ended = True, False, None, []
+    _State.leads, _State.repeated, _State.sweep = True, False, None
+    _State.ended, _State.reasons = [], []
     begun = time.time()
     reason = CUT
     try:
@@ -226,7 +231,9 @@ def collect(start: Callable[[], object]) -> list[Ended]:
     folders = dict.fromkeys(_State.sweep.folders or [*here, *_since(_State.sweep.place, begun)])
     if not folders:
         raise ConfigError("no job was run")
-    return [here.get(folder) or _from_files(folder, reason) for folder in folders]
+    reasons = zip(_State.sweep.folders, _State.reasons, strict=False)
+    lost = {folder: f"{why}; run the same command to resume" for folder, why in reasons if why}
+    return [here.get(folder) or _from_files(folder, lost.get(folder, reason)) for folder in folders]
 
 
 def _since(sweep: Path | None, begun: float) -> list[Path]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import os
 import socket
@@ -10,6 +9,11 @@ import threading
 import time
 from pathlib import Path
 from types import TracebackType
+
+try:
+    import fcntl
+except ModuleNotFoundError:
+    fcntl = None  # on Windows, where results can be read, but nothing can be trained
 
 NAME = ".lock"
 PATIENCE = 0.2
@@ -54,6 +58,8 @@ class Lock:
         self._file = -1
 
     def __enter__(self) -> Lock:
+        if fcntl is None:
+            raise OSError("training needs the file locks of Linux or macOS; on Windows, use WSL")
         deadline = time.monotonic() + PATIENCE
         while self._file < 0:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -145,6 +151,8 @@ class Lock:
 def is_locked(folder: Path) -> bool:
     """Whether a process runs the job of this folder; changes nothing."""
     path = folder / NAME
+    if fcntl is None:
+        return False
     try:
         file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except OSError:

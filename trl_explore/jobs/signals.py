@@ -9,8 +9,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from subprocess import CalledProcessError
 from types import FrameType, TracebackType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 PATIENCE = 0.8
 """Seconds to wait for the end of an iteration before it is interrupted."""
@@ -19,7 +20,9 @@ TWICE = 0.3
 LOOK = 0.5
 """Seconds between two checks that the parent process is alive."""
 WATCH = "end with parent"
-WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
+WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
+REQUEUE = [getattr(signal, name) for name in ("SIGUSR1", "SIGUSR2") if hasattr(signal, name)]
+"""Signals for which a launcher may have set a handler: submitit's requeues the job and exits."""
 
 
 _received: list[Interrupted] = []
@@ -30,7 +33,7 @@ class Interrupted(KeyboardInterrupt):
     """A signal that ends the program; not an ``Exception``, so that no handler swallows it."""
 
     def __init__(self, signum: int) -> None:
-        super().__init__(WORDS.get(signal.Signals(signum), "stopped"))
+        super().__init__(WORDS.get(signal.Signals(signum).name, "stopped"))
         self.signum = signum
         self.where = ""
         """Which job was interrupted, and the iteration from which it resumes."""
@@ -112,12 +115,38 @@ def end_with_parent() -> None:
         threading.Thread(target=watch, args=[os.getppid()], name=WATCH, daemon=True).start()
 
 
+def end_in_launcher(error: KeyboardInterrupt) -> NoReturn:
+    """End the process of a submitit job after its job was interrupted and saved.
+
+    submitit would take a return for the end of the job, although Slurm may start it again.
+
+    Raises:
+        Exception: if submitit was asked to requeue the job, and could not.
+    """
+    status = error.status if isinstance(error, Interrupted) else 128 + signal.SIGINT
+    if isinstance(error, Interrupted) and error.signum in REQUEUE:
+        _requeue(signal.getsignal(error.signum), error.signum)
+    raise SystemExit(status) from None
+
+
+def _requeue(handler: Any, signum: int) -> None:
+    """Call the handler of a launcher, which requeues the job and exits; return instead."""
+    try:
+        handler(signum, None)
+    except SystemExit:
+        pass
+    except CalledProcessError as error:
+        if error.returncode >= 0:  # below 0: Slurm requeues the job, and so ended ``scontrol`` too
+            raise
+
+
 def _served() -> list[signal.Signals]:
     """The signals to handle; SIGHUP only if it is not ignored (``nohup``)."""
     if threading.current_thread() is not threading.main_thread():
         return []  # only the main thread may set handlers
-    ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-    return [signal.SIGINT, signal.SIGTERM] + ([] if ignored else [signal.SIGHUP])
+    hangup = [signal.SIGHUP] if hasattr(signal, "SIGHUP") else []  # Windows has none
+    ignored = signal.SIG_IGN in map(signal.getsignal, hangup)
+    return [signal.SIGINT, signal.SIGTERM, *([] if ignored else hangup)]
 
 
 class Interrupts:
@@ -129,6 +158,8 @@ class Interrupts:
       iteration takes longer than ``PATIENCE``, it is raised at once and the iteration is discarded.
     * Within ``held``, it waits without a limit, because files are being written.
     * A second signal ends the process at once, in every state.
+    * A signal of ``REQUEUE`` with a handler counts too. ``end_in_launcher`` calls the handler after
+      the job has saved its checkpoint; outside ``deferred``, it is called at once.
 
     Args:
         tidy: called before a signal outside ``deferred`` ends the process.
@@ -147,6 +178,8 @@ class Interrupts:
 
     def __enter__(self) -> Interrupts:
         served = _served()
+        if served:
+            served += [signum for signum in REQUEUE if callable(signal.getsignal(signum))]
         self._before = {signum: signal.getsignal(signum) for signum in served}
         for signum in served:
             signal.signal(signum, self._handle)
@@ -178,6 +211,8 @@ class Interrupts:
         _received.append(self.pending)
         if not self._deferred:
             self.tidy()
+            if signum in REQUEUE:
+                _requeue(self._before[signal.Signals(signum)], signum)
             leave(self.pending)
         # Repeat it: an exception raised in a destructor or a callback is dropped.
         signal.setitimer(signal.ITIMER_REAL, PATIENCE, TWICE)
