@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
@@ -25,7 +24,6 @@ from trl_explore.jobs.columns import (
     PACKAGES,
     PASS_COLUMNS,
     PURPOSE_COLUMNS,
-    RUN,
     SCALARS,
     TIMING_COLUMNS,
     TIMINGS,
@@ -34,10 +32,10 @@ from trl_explore.jobs.columns import (
     VISITS,
     WEIGHTS,
     join_rows,
-    named,
     table_text,
-    write_whole,
 )
+from trl_explore.jobs.files import RUN, named, record, write_whole
+from trl_explore.names import VERSION
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,7 +59,8 @@ def clear(job: Path) -> None:
 
 def versions() -> dict[str, str]:
     """The versions of Python and of the packages on which the bits of a result may depend."""
-    return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}
+    own = {"python": platform.python_version(), "trl_explore": VERSION}
+    return own | {package: version(package) for package in PACKAGES if package not in own}
 
 
 def write_job(
@@ -112,6 +111,7 @@ def write_job(
         from safetensors.numpy import save
 
         write_whole(job / VISITS, save({name: a.copy() for name, a in visits.items()}))
+    paths = [job / name for name in (TRIALS, EPISODES, EVALUATIONS, WEIGHTS, VISITS)]
     run = {
         "status": "finished",
         "experiment": experiment,
@@ -122,7 +122,7 @@ def write_job(
         "seconds": seconds,
         "iterations": trials.iteration,
         "threads": {"compiled": config["threads"], "torch": torch.get_num_threads()},
-        "files": _record(job),
+        "files": record(job, [*paths, *sorted((job / SCALARS).glob("*.csv"))]),
         "config": config,
         "versions": versions(),
         "code": code_digests(config),
@@ -130,22 +130,6 @@ def write_job(
     }
     _sync(job)
     _write_text(job / RUN, json.dumps(run, indent=2) + "\n")
-
-
-def _record(job: Path) -> dict[str, dict[str, Any]]:
-    """The length in bytes and SHA-256 of every file of the job, for ``run.json``."""
-    names = (TRIALS, EPISODES, EVALUATIONS, WEIGHTS, VISITS)
-    paths = [job / name for name in names] + sorted((job / SCALARS).glob("*.csv"))
-    return {
-        path.relative_to(job).as_posix(): {"bytes": path.stat().st_size, "sha256": _digest(path)}
-        for path in paths
-        if path.is_file()
-    }
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _write_text(path: Path, text: str) -> None:

@@ -124,7 +124,7 @@ def _why(study: Study) -> tuple[list[why.Reexamined], list[Checked]]:
 
 def _group_evidence(group: Group, gaps: list[Gap]) -> GroupEvidence:
     traces = Traces() if group.plane is not None else read_traces(group)
-    gaps.extend(traces.gaps)
+    gaps.extend(found for found in traces.gaps if found not in gaps)
     found = _measured(group, traces)
     if not group.learned:
         return found
