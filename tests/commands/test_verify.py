@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from shutil import copytree
 
@@ -36,6 +39,23 @@ def test_a_job_that_runs_again_is_equal(jobs, verify):
     ran = verify(jobs[0].parent)
     assert (ran.returncode, ran.stderr) == (0, "")
     assert ran.stdout.splitlines() == [f"{job.name}: equal" for job in jobs]
+
+
+def test_an_older_processor_gives_equal_results(jobs):
+    """The C library, torch and NumPy choose other code for it: without AVX2 and fused products.
+
+    ``tests/engines/pythons.sh`` also compiles the kernels for a generic processor.
+    """
+    older = {
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F",
+        "ATEN_CPU_CAPABILITY": "default",
+        "NPY_DISABLE_CPU_FEATURES": "AVX2,FMA3,AVX512F",
+    }
+    command = [sys.executable, str(ROOT / "scripts" / "verify.py"), str(jobs[0].parent)]
+    ran = subprocess.run(
+        command, env={**os.environ, **older}, capture_output=True, text=True, check=False
+    )
+    assert ran.stdout.splitlines() == [f"{job.name}: equal" for job in jobs], ran.stderr
 
 
 def test_a_value_per_trial_is_timed_for_the_trial_that_has_it(jobs, run_many, tmp_path):

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Install the program for every Python from 3.11 to 3.14 that is found; run the golden run and a few
-# tests under each; and compare a job of each with the job of the first, number by number.
+# tests under each; and run the job of the first again under each, also as a generic processor would.
 #
 #   tests/engines/pythons.sh [FOLDER]    FOLDER (default build/pythons) keeps the environments
 #   PYTHONS="python3.12 /opt/python3.14/bin/python3" tests/engines/pythons.sh
@@ -38,6 +38,9 @@ for name in ${PYTHONS:-python3.11 python3.12 python3.13 python3.14}; do
   "$env/bin/trl-explore" train "${job[@]}" output_dir="$env/jobs" >/dev/null
   first=${first:-$env/jobs}
   same=$("$env/bin/trl-explore" verify "$first")
-  echo "Python $version: ${said##*$'\n'}; the job of the first Python: ${same##*: }"
+  older=$(env NUMBA_CPU_NAME=generic ATEN_CPU_CAPABILITY=default \
+    GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F "$env/bin/trl-explore" verify "$first")
+  echo "Python $version: ${said##*$'\n'}"
+  echo "  the job of the first Python: ${same##*: }; compiled for a generic processor: ${older##*: }"
 done
 [ -n "$first" ] || { echo "no Python from 3.11 to 3.14 was found"; exit 1; }

@@ -7,11 +7,13 @@ import os
 import socket
 import threading
 import time
+from importlib import import_module
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 try:
-    import fcntl
+    fcntl: Any = import_module("fcntl")
 except ModuleNotFoundError:
     fcntl = None  # on Windows, where results can be read, but nothing can be trained
 
@@ -150,9 +152,9 @@ class Lock:
 
 def is_locked(folder: Path) -> bool:
     """Whether a process runs the job of this folder; changes nothing."""
-    path = folder / NAME
     if fcntl is None:
         return False
+    path = folder / NAME
     try:
         file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except OSError:

@@ -36,6 +36,7 @@ from trl_explore.jobs.columns import (
     table_text,
 )
 from trl_explore.jobs.files import RUN, named, record, write_whole
+from trl_explore.names import VERSION
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -59,7 +60,8 @@ def clear(job: Path) -> None:
 
 def versions() -> dict[str, str]:
     """The versions of Python and of the packages on which the bits of a result may depend."""
-    return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}
+    own = {"python": platform.python_version(), "trl_explore": VERSION}
+    return own | {package: version(package) for package in PACKAGES if package not in own}
 
 
 def write_job(
