@@ -11,6 +11,7 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torch.distributions import Categorical, Normal
 from torchrl.collectors import Collector
+from torchrl.data import MultiCategorical, MultiOneHot
 from torchrl.envs import SerialEnv
 from torchrl.envs.libs.gym import GymEnv
 from torchrl.modules import (
@@ -278,6 +279,35 @@ def test_the_gradient_of_a_behaviour_that_reads_other_entries(logits_key, mask_k
     losses = by_loop(mu.log()[None], data["next", "reward"].T, data["next", "done"].T)
     loss = plain_loss(categorical(module, logits_key), correction=Behaviour(), strategy=strategy)
     torch.testing.assert_close(loss(data)["loss_actor"], losses.sum())
+
+
+@pytest.mark.parametrize("spec", [MultiOneHot([3, 2]), MultiCategorical([3, 2])])
+def test_the_gradient_of_a_behaviour_with_several_heads(spec):
+    module, data = network(5), frames(6)
+    heads = torch.stack([data["action"], data["action"] % 2], -1)
+    hot = [nn.functional.one_hot(heads[:, i], n) for i, n in enumerate((3, 2))]
+    data["action"] = torch.cat(hot, -1).bool() if isinstance(spec, MultiOneHot) else heads
+    data["action_mask"] = torch.cat(hot, -1).bool() | torch.tensor([1, 0, 0, 1, 0]).bool()
+    strategy = EpsilonSoftmax(0.3, 2.0, spec=spec)
+    logits = module.module(data["observation"]).masked_fill(~data["action_mask"], -torch.inf)
+    own = EpsilonSoftmax(0.3, 2.0)
+    mu = [own.probs(part).gather(-1, heads[:, i : i + 1]).log().squeeze(-1)
+          for i, part in enumerate(logits.split((3, 2), -1))]  # fmt: skip
+    torch.testing.assert_close(strategy.log_prob(module(data.copy()), data["action"]), sum(mu))
+    losses = by_loop(sum(mu)[None], data["next", "reward"].T, data["next", "done"].T)
+    loss = plain_loss(
+        categorical(module), correction=Behaviour(), strategy=strategy, entropy_coeff=0.1
+    )
+    entropy = sum(
+        Categorical(own.probs(part), validate_args=False).entropy().sum()
+        for part in logits.split((3, 2), -1)
+    )
+    found, expected = loss(data)["loss_actor"], losses.sum() - 0.1 * loss.weight * entropy
+    torch.testing.assert_close(found, expected)
+    torch.testing.assert_close(
+        torch.autograd.grad(found, loss.parameters()),
+        torch.autograd.grad(expected, list(module.parameters())),
+    )  # fmt: skip
 
 
 def test_the_gradient_of_a_continuous_behaviour_without_trials():

@@ -383,6 +383,7 @@ def test_a_deterministic_actor_has_no_scale(cls):
 
 @pytest.mark.parametrize(("epsilon", "temperature"), [(None, 1.0), (None, 0.5), (0.3, 1.0)])
 def test_a_squashed_policy_is_torchrls_tanh_normal(epsilon, temperature):
+    torch.manual_seed(0)
     loc, scale = LOC.expand(5000, 2), SCALE.expand(5000, 2)
     given = {"spec": BOX, "squashed": True}
     strategy = Gaussian(temperature, **given) if epsilon is None else EpsilonUniform(0.3, **given)

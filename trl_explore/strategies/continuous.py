@@ -7,6 +7,7 @@ from typing import cast
 
 import torch
 from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import dispatch
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 from torchrl.data.tensor_specs import ContinuousBox
@@ -135,6 +136,7 @@ class ContinuousStrategy(BaseStrategy):
         """
         raise ValueError(f"the actions of {type(self).__name__} have no density")
 
+    @dispatch(auto_batch_size=False)
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw "action" from μ and write "action_log_prob"."""
         loc = read(tensordict, self.loc_key)
@@ -142,7 +144,7 @@ class ContinuousStrategy(BaseStrategy):
         self._check(loc)
         if exploring():
             trial = self._trial(tensordict)
-            noise = self._noise(tensordict, loc.shape[:-1], loc.device).double()
+            noise = self._noise(tensordict, loc.shape[:-1], loc.device)
             wide = loc.double(), scale.double()
             # The density is that of the action as written, after rounding.
             action = self.draw(*wide, noise, trial).to(loc.dtype)

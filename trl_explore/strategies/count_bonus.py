@@ -10,7 +10,6 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
-from torchrl.data import OneHot
 
 from trl_explore.checks import check_integer
 from trl_explore.numerics.layers import lane_linear, plain_lane_linear
@@ -176,7 +175,7 @@ class CountBonus(MixtureStrategy):
         super().__init__(**options)
         self.follow("beta", beta)
         self.follow("temperature", temperature)
-        if len(self._heads) > 1:
+        if self.joint:
             raise ValueError("CountBonus counts single actions, but the spec has several heads")
         self.observation_key = observation_key
         read = [self.logits_key, observation_key]
@@ -191,7 +190,7 @@ class CountBonus(MixtureStrategy):
     @property
     def _n_actions(self) -> int:
         """The number of actions in the spec; 0 without one."""
-        return self._heads[0] if self._heads else 0
+        return self.heads[0] if self.heads else 0
 
     def allocate(self, policy: TensorDictModuleBase, trials: int) -> None:
         """Reset the counts to 0."""
@@ -207,7 +206,7 @@ class CountBonus(MixtureStrategy):
 
     def mixture(self) -> Mixture:
         """Softmax of ``preferences``."""
-        return Mixture(softmax=1.0, temperature=self.temperature)
+        return Mixture(softmax=1.0, temperature=self.now("temperature"))
 
     def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
         """Logits plus bonus."""
@@ -242,13 +241,11 @@ class CountBonus(MixtureStrategy):
         if not isinstance(frames, TensorDictBase):
             return
         valid = padding_mask(frames)
-        action = read(frames, self.action_key)[valid]
-        if isinstance(self.spec, OneHot):
-            action = action.int().argmax(-1)
+        action = self.index(read(frames, self.action_key)[valid])
         n_actions = self._counts.shape[-1]
         if not n_actions:
             raise ValueError("CountBonus does not know the number of actions: give the spec")
         trial = self._trial(frames)
         trial = None if trial is None else trial[valid]
         observation = read(frames, self.observation_key)[valid]
-        self.visits.count(observation, action.long(), trial, n_actions)
+        self.visits.count(observation, action, trial, n_actions)

@@ -7,12 +7,13 @@ from typing import Any, cast
 
 import torch
 from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import dispatch
 from torch import Tensor
 from torch._C._functorch import is_batchedtensor
 from torchrl.data import Categorical, MultiCategorical, MultiOneHot, OneHot, TensorSpec
 
 from trl_explore.strategies.frames import read
-from trl_explore.strategies.strategy import BaseStrategy, exploring
+from trl_explore.strategies.strategy import BELOW_ONE, BaseStrategy, exploring
 
 
 class Strategy(BaseStrategy):
@@ -35,9 +36,7 @@ class Strategy(BaseStrategy):
     Under ``MultiOneHot`` and ``MultiCategorical`` the logits of the heads are joined,
     [*batch, Σ n_h]. Every head draws its own action, and the log-probabilities are added.
 
-    The module works in any TorchRL project, after any module that writes logits or action values
-    (``logits_key="action_value"``). A collector of this package also calls ``bind`` once, ``begin``
-    before every episode and ``step`` after every update.
+    A collector of this package also calls ``bind`` once and ``begin`` before every episode.
 
     Args:
         spec: the action spec (``Categorical``, ``OneHot``, ``MultiCategorical`` or ``MultiOneHot``,
@@ -83,11 +82,12 @@ class Strategy(BaseStrategy):
         self.logits_key, self.validate_args = logits_key, validate_args
         self.action_mask_key = action_mask_key or self._beside("action_mask")
         self.spec = None if spec is None else self._leaf(spec)
-        self._heads = _heads(self.spec)
-        if len(self._heads) > 1:
-            width, total = max(self._heads), sum(self._heads)
-            index = torch.full((len(self._heads), width), total)
-            for head, part in zip(index, torch.arange(total).split(self._heads), strict=True):
+        self.heads = _heads(self.spec)
+        self.joint = isinstance(self.spec, MultiOneHot | MultiCategorical)
+        if self.joint:
+            width, total = max(self.heads), sum(self.heads)
+            index = torch.full((len(self.heads), width), total)
+            for head, part in zip(index, torch.arange(total).split(self.heads), strict=True):
                 head[: len(part)] = part
             self.register_buffer("_index", index, persistent=False)
 
@@ -101,15 +101,18 @@ class Strategy(BaseStrategy):
         """
         raise NotImplementedError(f"{type(self).__name__} does not define probs")
 
+    @dispatch(auto_batch_size=False)
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw "action" from μ and write "action_log_prob"."""
         logits = self._masked(tensordict, read(tensordict, self.logits_key))
         n_actions = logits.shape[-1]
         if exploring():
             batch = logits.shape[:-1]
-            if len(self._heads) > 1:
-                batch = torch.Size((*batch, len(self._heads)))
+            if self.joint:
+                batch = torch.Size((*batch, len(self.heads)))
             noise = self._noise(tensordict, batch, logits.device)
+            if self.noise_key is None:  # the layout may change the last bits of μ
+                logits = actions_outermost(logits)
             action, log_prob = self.explore(tensordict, logits, noise)
         else:
             logits = self._split(logits)
@@ -119,7 +122,7 @@ class Strategy(BaseStrategy):
             log_prob = torch.zeros_like(largest)
         tensordict.set(self.action_key, self._encode(action, n_actions))
         if log_prob is not None and self.exact:
-            if len(self._heads) > 1:
+            if self.joint:
                 log_prob = log_prob.sum(-1)
             tensordict.set(self.log_prob_key, log_prob)
         return tensordict
@@ -130,12 +133,14 @@ class Strategy(BaseStrategy):
         Raises:
             ValueError: if the logits do not fit the spec, or a mask does not fit the logits.
         """
-        if self._heads and logits.shape[-1] != sum(self._heads):
+        if not logits.ndim:
+            raise ValueError(f"{self.logits_key!r} is one number, not one per action")
+        if self.heads and logits.shape[-1] != sum(self.heads):
             raise ValueError(
                 f"{self.logits_key!r} has {logits.shape[-1]} entries per frame, "
-                f"but the action spec has {sum(self._heads)} actions"
+                f"but the action spec has {sum(self.heads)} actions"
             )
-        if logits.dtype in (torch.float16, torch.bfloat16):  # too coarse for probabilities
+        if logits.dtype not in (torch.float32, torch.float64):  # too coarse for probabilities
             logits = logits.float()
         mask = tensordict.get(self.action_mask_key, None)
         if mask is not None:
@@ -152,52 +157,44 @@ class Strategy(BaseStrategy):
 
     def _split(self, logits: Tensor) -> Tensor:
         """The logits of the heads [*batch, heads, n], padded with −∞; of one head as they are."""
-        if len(self._heads) < 2:
+        if not self.joint:
             return logits
         return torch.nn.functional.pad(logits, (0, 1), value=-torch.inf)[..., self._index]
 
     def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
-        """The input of ``probs``: by default, the logits of the target policy.
-
-        Args:
-            tensordict: the frames.
-            logits: [*batch, n_actions], masked: −∞ where an action is forbidden; keep it there.
-        """
+        """The input of ``probs``: by default, the logits, −∞ where a mask forbids the action."""
         return logits
 
     def explore(
         self, tensordict: TensorDictBase, logits: Tensor, noise: Tensor
     ) -> tuple[Tensor, Tensor | None]:
-        """Draw from μ(·|s).
+        """The action [*batch] and its log-probability [*batch], None if there is no exact one.
 
         Args:
             tensordict: the frames.
             logits: [*batch, n_actions], masked.
             noise: [*batch], or [*batch, noise_size].
-
-        Returns:
-            The action [*batch] and its log-probability [*batch], None if there is no exact one.
         """
         logits = self._split(self.preferences(tensordict, logits))
         probs = self.probs(logits, self._trial(tensordict))
-        action = self._draw(probs, noise, logits, tensordict)
-        return action.squeeze(-1), probs.gather(-1, action).squeeze(-1).log()
+        action, probability = self._draw(probs, noise, logits, tensordict)
+        return action, probability.log()
 
     def _draw(
         self, probs: Tensor, noise: Tensor, logits: Tensor, tensordict: TensorDictBase
-    ) -> Tensor:
-        """The action [*batch, 1] by inverse CDF, checked."""
-        cdf = probs.cumsum(-1, dtype=torch.float64)
-        total = cdf[..., -1:]
+    ) -> tuple[Tensor, Tensor]:
+        """The action by inverse CDF, checked, and its probability, both [*batch]."""
+        dim = -1
+        if probs.stride(-1) != 1:  # see ``actions_outermost``
+            probs, dim = probs.movedim(-1, 0), 0
+        cdf = probs.cumsum(dim, dtype=torch.float64)
+        total = cdf.select(dim, -1)
         self._check(total, 0.0, logits, tensordict)
-        return _search(cdf, total, noise.unsqueeze(-1))
+        action = (cdf <= (noise * total).unsqueeze(dim)).sum(dim, keepdim=True)  # 0 for NaN
+        return action.squeeze(dim), probs.gather(dim, action).squeeze(dim)
 
     def _check(self, found: Tensor, low: float, logits: Tensor, tensordict: TensorDictBase) -> None:
-        """Check that every state has an action to draw: ``found`` is above ``low``, not NaN.
-
-        Raises:
-            ValueError: if one has none, and not because the policy's output is NaN.
-        """
+        """Refuse a state without an action to draw, whose ``found`` is not above ``low``."""
         if not self.validate_args or not found.numel():
             return
         if torch.compiler.is_compiling() or not found.is_cpu:
@@ -215,17 +212,44 @@ class Strategy(BaseStrategy):
                     "every action that the mask allows has -inf, or one has inf"
                 )
 
+    def log_prob(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
+        """Log μ(a|s) [*batch] in the current iteration.
+
+        Args:
+            tensordict: the frames, with what the strategy reads.
+            action: a, in the form that the strategy writes; without a spec also one-hot.
+        """
+        probs, index = self.probs_of(tensordict), self.index(action)
+        if self.spec is None and index.shape == probs.shape:
+            index = index.argmax(-1)
+        log_prob = probs.gather(-1, index.unsqueeze(-1)).squeeze(-1).log()
+        return log_prob.sum(-1) if self.joint else log_prob
+
+    def probs_of(self, tensordict: TensorDictBase) -> Tensor:
+        """μ(·|s) of frames: [*batch, n_actions], or [*batch, heads, n] with zeros as padding."""
+        logits = self._masked(tensordict, read(tensordict, self.logits_key))
+        logits = self._split(self.preferences(tensordict, logits))
+        return self.probs(logits, self._trial(tensordict))
+
+    def index(self, action: Tensor) -> Tensor:
+        """The indices of actions in the form of the spec: [*batch], or [*batch, heads]."""
+        if not isinstance(self.spec, OneHot):
+            return action.long()
+        parts = action.int().split(self.heads, -1)
+        found = torch.stack([part.argmax(-1) for part in parts], -1)
+        return found if self.joint else found.squeeze(-1)
+
     def _encode(self, action: Tensor, n_actions: int) -> Tensor:
         """The action in the form of the spec."""
         if self.spec is None:
             return action
         if isinstance(self.spec, OneHot):
-            if len(self._heads) > 1:
-                hot = action.unsqueeze(-1) == torch.arange(max(self._heads), device=action.device)
+            if self.joint:
+                hot = action.unsqueeze(-1) == torch.arange(max(self.heads), device=action.device)
                 action = hot.flatten(-2)[..., self._index.flatten() < n_actions]
             else:
                 action = action.unsqueeze(-1) == torch.arange(n_actions, device=action.device)
-        return action.to(self.spec.dtype)
+        return action if action.dtype is self.spec.dtype else action.to(self.spec.dtype)
 
 
 def _heads(spec: TensorSpec | None) -> list[int]:
@@ -265,10 +289,13 @@ def inverse_cdf(probs: Tensor, noise: Tensor) -> Tensor:
         tensor(2)
     """
     cdf = probs.cumsum(-1, dtype=torch.float64)
-    return _search(cdf, cdf[..., -1:], noise.unsqueeze(-1)).squeeze(-1)
+    point = noise.double().clamp(max=BELOW_ONE) * cdf[..., -1]
+    return (cdf <= point.unsqueeze(-1)).sum(-1)
 
 
-def _search(cdf: Tensor, total: Tensor, noise: Tensor) -> Tensor:
-    """The first action whose cumulative sum is above the noise [*batch, 1]."""
-    point = noise.double().clamp(max=1 - 2**-52) * total
-    return (cdf <= point).sum(-1, keepdim=True)  # 0 where the sums are NaN
+def actions_outermost(logits: Tensor) -> Tensor:
+    """Many logits of few actions, laid out so that torch works on many frames at a time."""
+    few = logits.shape[-1] <= 8 and logits.numel() > 1000 and logits.stride(-1) == 1
+    if torch.compiler.is_compiling() or not few:
+        return logits
+    return logits.movedim(-1, 0).contiguous().movedim(0, -1)

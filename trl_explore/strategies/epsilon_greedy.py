@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from tensordict import NestedKey
 from torch import Tensor
+from torchrl.data import TensorSpec
 
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
 from trl_explore.strategies.schedules import Exponential, Parameter
@@ -51,10 +53,21 @@ class EpsilonGreedy(MixtureStrategy):
 
     Args:
         epsilon: ε in [0, 1], a number, one number per trial, or a schedule.
-        options: the arguments of ``Strategy``.
+        spec: the action spec (``Categorical``, ``OneHot``, ``MultiCategorical`` or ``MultiOneHot``,
+            possibly in a ``Composite``); None: actions are indices.
+        logits_key: the entry with the logits or action values.
+        action_key: the entry to write the action to.
+        action_mask_key: the entry with the mask; None: "action_mask" in the group of the action.
+        log_prob_key: the entry to write the log-probability to; None: beside the action, with the
+            suffix "_log_prob".
+        noise_key: the entry with uniform numbers in [0, 1) that decide the draw; None: torch's
+            generator decides it.
+        trial_key: the entry with the trial of each frame, if ε has one value per trial.
+        validate_args: whether to check that every state has an allowed action with a finite logit.
 
     Raises:
-        ValueError: if ε leaves [0, 1] in any iteration.
+        ValueError: if ε leaves [0, 1] in any iteration, the spec is of another kind, or a state has
+            no action to draw.
 
     Example:
         >>> import torch
@@ -64,13 +77,35 @@ class EpsilonGreedy(MixtureStrategy):
 
     epsilon: Tensor
 
-    def __init__(self, epsilon: Parameter = 0.3, **options: Any) -> None:
-        super().__init__(**options)
+    def __init__(
+        self,
+        epsilon: Parameter = 0.3,
+        *,
+        spec: TensorSpec | None = None,
+        logits_key: NestedKey = "logits",
+        action_key: NestedKey = "action",
+        action_mask_key: NestedKey | None = None,
+        log_prob_key: NestedKey | None = None,
+        noise_key: NestedKey | None = None,
+        trial_key: NestedKey = "trial",
+        validate_args: bool = True,
+    ) -> None:
+        super().__init__(
+            spec=spec,
+            logits_key=logits_key,
+            action_key=action_key,
+            action_mask_key=action_mask_key,
+            log_prob_key=log_prob_key,
+            noise_key=noise_key,
+            trial_key=trial_key,
+            validate_args=validate_args,
+        )
         self.follow("epsilon", epsilon, 0, 1)
 
     def mixture(self) -> Mixture:
         """Argmax with weight 1 − ε, uniform with weight ε."""
-        return Mixture(greedy=1 - self.epsilon, uniform=self.epsilon)
+        epsilon = self.now("epsilon")
+        return Mixture(greedy=1 - epsilon, uniform=epsilon)
 
 
 class DecayingEpsilonGreedy(EpsilonGreedy):

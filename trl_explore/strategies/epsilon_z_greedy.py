@@ -110,16 +110,18 @@ class EpsilonZGreedy(Strategy):
         epsilon = torch.as_tensor(epsilon, dtype=torch.float64, device=logits.device)
         epsilon = epsilon.expand(*batch, 1).squeeze(-1)
         whether, what, how_long = noise.unbind(-1)
-        uniform = self._draw(mixture_probs(logits, Mixture(uniform=1.0)), what, logits, tensordict)
-        greedy = self._draw(mixture_probs(logits, Mixture(greedy=1.0)), what, logits, tensordict)
-        duration = torch.searchsorted(self._cdf, how_long.double().contiguous(), right=True) + 1
+        uniform, greedy = (
+            self._draw(mixture_probs(logits, mixture), what, logits, tensordict)[0]
+            for mixture in (Mixture(uniform=1.0), Mixture(greedy=1.0))
+        )
+        duration = torch.searchsorted(self._cdf, how_long.contiguous(), right=True) + 1
         exploring = whether < epsilon
 
         held = self._action.clamp(max=logits.shape[-1] - 1)
         allowed = logits.gather(-1, held.unsqueeze(-1)).squeeze(-1) != -torch.inf
         first = self._first(tensordict, batch)
         running = (self._remaining > 0) & allowed & ~first
-        drawn = torch.where(exploring, uniform.squeeze(-1), greedy.squeeze(-1))
+        drawn = torch.where(exploring, uniform, greedy)
         action = torch.where(running, held, drawn)
         left = torch.where(exploring, duration.clamp(max=self.max_duration) - 1, 0)
         self._remaining = torch.where(running, self._remaining - 1, left)

@@ -8,6 +8,7 @@ from typing import cast
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
+from torch._C._functorch import is_batchedtensor
 
 from trl_explore.strategies.schedules import Value
 
@@ -31,6 +32,11 @@ def padding_mask(data: TensorDictBase) -> Tensor:
     if mask is None:
         return torch.ones(data.batch_size, dtype=torch.bool, device=data.device)
     return mask.reshape(data.batch_size)
+
+
+def readable(tensor: Tensor) -> bool:
+    """Whether a number can be read at once: on the CPU, not in compiled code, not under vmap."""
+    return not torch.compiler.is_compiling() and tensor.is_cpu and not is_batchedtensor(tensor)
 
 
 def rows(value: Value | Tensor, trial: Tensor | None, like: Tensor) -> float | Tensor:

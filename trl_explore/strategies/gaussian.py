@@ -14,11 +14,10 @@ from trl_explore.strategies.continuous import ContinuousStrategy
 from trl_explore.strategies.frames import rows
 from trl_explore.strategies.mixture import MixtureFamily, present
 from trl_explore.strategies.schedules import Parameter, Value
+from trl_explore.strategies.strategy import BELOW_ONE
 
 COLDEST = 1e-6
 """The smallest temperature; a Gaussian of scale 0 has no density."""
-BELOW_ONE = 1 - 2**-53
-"""The largest number below 1."""
 
 
 class ContinuousMixture(NamedTuple):
@@ -60,7 +59,7 @@ class ContinuousMixtureStrategy(MixtureFamily, ContinuousStrategy):
         """The action [*batch, n_dims] for noise [*batch, n_dims + 1]."""
         point = self.mixture()
         mean, _, uniform, temperature = self._point(point, trial, loc)
-        corner, u = noise[..., -1:].clamp(max=BELOW_ONE), noise[..., :-1]
+        corner, u = noise[..., -1:], noise[..., :-1]
         action = self._squash(loc)
         if present(point.gaussian):
             # Φ⁻¹ is finite only strictly between 0 and 1.

@@ -15,8 +15,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from trl_explore.checks import holds, settle
-from trl_explore.strategies.discrete import Strategy
-from trl_explore.strategies.frames import rows
+from trl_explore.strategies.discrete import Strategy, actions_outermost
+from trl_explore.strategies.frames import readable, rows
 from trl_explore.strategies.schedules import Value
 from trl_explore.strategies.strategy import BaseStrategy
 
@@ -143,7 +143,9 @@ class MixtureStrategy(MixtureFamily, Strategy):
 
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
         """μ(·|s) [*batch, n_actions] in the current iteration."""
-        mixture = Mixture(*(rows(value, trial, logits) for value in self.mixture()))
+        mixture = self.mixture()
+        if self._reads_trial:
+            mixture = Mixture(*(rows(value, trial, logits) for value in mixture))
         return mixture_probs(logits, mixture)
 
 
@@ -156,12 +158,11 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
         >>> mixture_probs(torch.tensor([0.0, 4.0, -1.0, 4.0]), Mixture(greedy=0.8, uniform=0.2))
         tensor([0.0500, 0.4500, 0.0500, 0.4500])
     """
-    terms: list[Tensor] = []
+    terms: list[Any] = []
     limits = torch.finfo(logits.dtype)
     soft, uniform = present(mixture.softmax), present(mixture.uniform)
-    if not soft and logits.shape[-1] <= 8 and logits.numel() > 1000:
-        # With the actions outermost in memory, torch works on many frames at a time.
-        logits = logits.movedim(-1, 0).contiguous().movedim(0, -1)
+    if not soft:
+        logits = actions_outermost(logits)
     largest = logits.amax(-1, keepdim=True)
     if present(mixture.greedy):
         # A row of −∞ has no best action; the other parts find that by themselves.
@@ -169,22 +170,39 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
         terms.append(_share(logits >= floor, logits.dtype, mixture.greedy))
     if soft:
         # To avoid overflow, subtract the maximum first and keep T within the dtype's range.
-        temperature = mixture.temperature
+        exponent, temperature = logits - largest, mixture.temperature
         if isinstance(temperature, Tensor):
-            temperature = temperature.clamp(limits.tiny, limits.max)
-        else:
-            temperature = min(max(float(temperature), limits.tiny), limits.max)
-        soft_max = torch.softmax((logits - largest) / temperature, -1)
-        terms.append(soft_max * cast(Tensor, mixture.softmax))
+            exponent = exponent / temperature.clamp(limits.tiny, limits.max)
+        elif temperature != 1:
+            exponent = exponent / min(max(float(temperature), limits.tiny), limits.max)
+        if exponent.stride(-1) == 1:
+            soft_max = torch.softmax(exponent, -1)
+        else:  # torch's softmax would copy
+            soft_max = exponent.exp()
+            soft_max = soft_max / soft_max.sum(-1, keepdim=True)
+        alone = is_one(mixture.softmax)
+        terms.append(soft_max if alone else soft_max * cast(Tensor, mixture.softmax))
     if uniform:
-        terms.append(_share(logits >= limits.min, logits.dtype, mixture.uniform))
-    return reduce(add, terms)
+        terms.append(_uniform(logits, mixture.uniform))
+    found = reduce(add, terms)
+    return found if isinstance(found, Tensor) else torch.full_like(logits, found)
+
+
+def _uniform(logits: Tensor, weight: Value | Tensor) -> Tensor | float:
+    """A weight shared by the actions of logit above −∞; one number for all if no logit is −∞."""
+    lowest = torch.finfo(logits.dtype).min
+    plain = isinstance(weight, float) and logits.numel() > 0 and readable(logits)
+    if plain and logits.amin().item() >= lowest:
+        number = np.float32 if logits.dtype is torch.float32 else np.float64
+        return float(number(1) / number(logits.shape[-1]) * number(weight))
+    return _share(logits >= lowest, logits.dtype, weight)
 
 
 def _share(members: Tensor, dtype: torch.dtype, weight: Value | Tensor) -> Tensor:
     """A weight shared equally by some of the actions."""
     share = members.to(dtype)
-    return share * (share.sum(-1, keepdim=True).reciprocal() * cast(Tensor, weight))
+    each = share.sum(-1, keepdim=True).reciprocal()
+    return share * (each if is_one(weight) else each * cast(Tensor, weight))
 
 
 def numbers(values: Iterable[Value | Tensor]) -> list[Value]:
@@ -194,6 +212,11 @@ def numbers(values: Iterable[Value | Tensor]) -> list[Value]:
         else value.numpy(force=True) if value.ndim else value.item()
         for value in values
     ]  # fmt: skip
+
+
+def is_one(weight: Value | Tensor) -> bool:
+    """Whether a weight is the Python number 1."""
+    return isinstance(weight, int | float) and weight == 1
 
 
 def present(weight: Value | Tensor) -> bool:

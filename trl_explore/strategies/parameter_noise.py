@@ -105,7 +105,7 @@ class ParameterNoise(MixtureStrategy):
 
     def mixture(self) -> Mixture:
         """Softmax of ``preferences``."""
-        return Mixture(softmax=1.0, temperature=self.temperature)
+        return Mixture(softmax=1.0, temperature=self.now("temperature"))
 
     def begin(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
         """Perturb the parameters of the active trials for one episode."""
@@ -223,7 +223,7 @@ class ParameterNoise(MixtureStrategy):
         """KL(π‖π̃) of two sets of masked logits [*batch], in double."""
         own, other = (self._split(x).double().log_softmax(-1) for x in (own, other))
         terms = torch.where(own == -torch.inf, 0.0, own.exp() * (own - other)).sum(-1)
-        return terms.sum(-1) if len(self._heads) > 1 else terms
+        return terms.sum(-1) if self.joint else terms
 
     def _last_episodes(self, data: TensorDictBase) -> TensorDictBase:
         """The frames of every trial's last episode, flat [frames]."""

@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from trl_explore.checks import check_integer
-from trl_explore.strategies.frames import padding_mask
+from trl_explore.strategies.frames import padding_mask, readable
 from trl_explore.strategies.schedules import (
     Constant,
     Parameter,
@@ -71,6 +71,14 @@ class Parametrised(TensorDictModuleBase):
         value = torch.tensor(self._value(name), dtype=torch.float64, device=self.iteration.device)
         self.register_buffer(name, value)
         self._reads_trial |= value.ndim > 0
+
+    def now(self, name: str) -> float | Tensor:
+        """The present value of a parameter: a Python number, if it is one number and readable.
+
+        Arithmetic with Python numbers takes a fraction of the time of that with the buffer.
+        """
+        buffer = getattr(self, name)
+        return buffer if buffer.ndim or not readable(buffer) else buffer.item()
 
     def _value(self, name: str) -> Value:
         """The present value of a schedule."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
+from torchrl.data import TensorSpec
 
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
 from trl_explore.strategies.schedules import Parameter
@@ -21,10 +22,21 @@ class Softmax(MixtureStrategy):
     Args:
         temperature: T > 0, a number, one number per trial, or a schedule, which may
             reach 0, the limit: argmax.
-        options: the arguments of ``Strategy``.
+        spec: the action spec (``Categorical``, ``OneHot``, ``MultiCategorical`` or ``MultiOneHot``,
+            possibly in a ``Composite``); None: actions are indices.
+        logits_key: the entry with the logits or action values.
+        action_key: the entry to write the action to.
+        action_mask_key: the entry with the mask; None: "action_mask" in the group of the action.
+        log_prob_key: the entry to write the log-probability to; None: beside the action, with the
+            suffix "_log_prob".
+        noise_key: the entry with uniform numbers in [0, 1) that decide the draw; None: torch's
+            generator decides it.
+        trial_key: the entry with the trial of each frame, if T has one value per trial.
+        validate_args: whether to check that every state has an allowed action with a finite logit.
 
     Raises:
-        ValueError: if T is not a positive number.
+        ValueError: if T is not a positive number, the spec is of another kind, or a state has no
+            action to draw.
 
     Example:
         >>> import torch
@@ -35,13 +47,34 @@ class Softmax(MixtureStrategy):
     differentiable = True
     temperature: Tensor
 
-    def __init__(self, temperature: Parameter = 1.0, **options: Any) -> None:
-        super().__init__(**options)
+    def __init__(
+        self,
+        temperature: Parameter = 1.0,
+        *,
+        spec: TensorSpec | None = None,
+        logits_key: NestedKey = "logits",
+        action_key: NestedKey = "action",
+        action_mask_key: NestedKey | None = None,
+        log_prob_key: NestedKey | None = None,
+        noise_key: NestedKey | None = None,
+        trial_key: NestedKey = "trial",
+        validate_args: bool = True,
+    ) -> None:
+        super().__init__(
+            spec=spec,
+            logits_key=logits_key,
+            action_key=action_key,
+            action_mask_key=action_mask_key,
+            log_prob_key=log_prob_key,
+            noise_key=noise_key,
+            trial_key=trial_key,
+            validate_args=validate_args,
+        )
         self.follow("temperature", temperature, low_open=True)
 
     def mixture(self) -> Mixture:
         """All weight on softmax."""
-        return Mixture(softmax=1.0, temperature=self.temperature)
+        return Mixture(softmax=1.0, temperature=self.now("temperature"))
 
 
 class EpsilonSoftmax(MixtureStrategy):
@@ -79,7 +112,8 @@ class EpsilonSoftmax(MixtureStrategy):
 
     def mixture(self) -> Mixture:
         """Softmax with weight 1 − ε, uniform with weight ε."""
-        return Mixture(softmax=1 - self.epsilon, uniform=self.epsilon, temperature=self.temperature)
+        epsilon = self.now("epsilon")
+        return Mixture(0.0, 1 - epsilon, epsilon, self.now("temperature"))
 
 
 class MaxBoltzmann(MixtureStrategy):
@@ -116,7 +150,8 @@ class MaxBoltzmann(MixtureStrategy):
 
     def mixture(self) -> Mixture:
         """Argmax with weight 1 − ε, softmax with weight ε."""
-        return Mixture(1 - self.epsilon, self.epsilon, temperature=self.temperature)
+        epsilon = self.now("epsilon")
+        return Mixture(1 - epsilon, epsilon, 0.0, self.now("temperature"))
 
 
 class FullMixture(MixtureStrategy):
@@ -171,9 +206,9 @@ class FullMixture(MixtureStrategy):
 
     def mixture(self) -> Mixture:
         """The weights divided by their sum."""
-        total = self.greedy + self.softmax + self.uniform
-        weights = self.greedy / total, self.softmax / total, self.uniform / total
-        return Mixture(*weights, temperature=self.temperature)
+        greedy, softmax, uniform = map(self.now, ("greedy", "softmax", "uniform"))
+        total = greedy + softmax + uniform
+        return Mixture(greedy / total, softmax / total, uniform / total, self.now("temperature"))
 
     def step(self, frames: TensorDictBase | int | None = None) -> None:
         """Advance the schedules, and check that a weight is left."""

@@ -19,6 +19,9 @@ from trl_explore.strategies import workers
 from trl_explore.strategies.parameters import Parametrised
 from trl_explore.strategies.schedules import Constant
 
+BELOW_ONE = 1 - 2**-53
+"""The largest number below 1, and the largest noise: its product with a sum is below the sum."""
+
 
 class BaseStrategy(Parametrised):
     """A behaviour policy μ(·|s) made from the output of a target policy.
@@ -164,13 +167,13 @@ class BaseStrategy(Parametrised):
         return spec[self.action_key]
 
     def _noise(self, tensordict: TensorDictBase, batch: torch.Size, device: torch.device) -> Tensor:
-        """Uniform numbers in [0, 1) [*batch] or [*batch, noise_size], float64 if drawn here."""
+        """Uniform numbers in [0, 1), float64 [*batch] or [*batch, noise_size]."""
         shape = batch if self.noise_size == 1 else (*batch, self.noise_size)
         if self.noise_key is not None:
             noise = tensordict.get(self.noise_key, None)
             if noise is not None:
-                return noise.to(device).reshape(shape)
-        return torch.rand(shape, dtype=torch.float64, device=device)
+                return noise.to(device, torch.float64).reshape(shape).clamp(max=BELOW_ONE)
+        return torch.rand(shape, dtype=torch.float64, device=device)  # at most BELOW_ONE
 
     def _trial(self, tensordict: TensorDictBase) -> Tensor | None:
         """The trial of each frame, if something differs between trials."""

@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from trl_explore.checks import check_number
-from trl_explore.strategies.frames import read
+from trl_explore.strategies.frames import read, readable
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
 
 
@@ -87,7 +87,9 @@ class VDBE(MixtureStrategy):
 
     def mixture(self) -> Mixture:
         """ε-greedy, with one ε per trial."""
-        epsilon = self.epsilon if len(self.epsilon) > 1 else self.epsilon[0]
+        epsilon = self.epsilon
+        if len(epsilon) == 1:
+            epsilon = epsilon.item() if readable(epsilon) else epsilon[0]
         return Mixture(greedy=1 - epsilon, uniform=epsilon)
 
     def step(self, frames: TensorDictBase | int | None = None) -> None:

@@ -26,7 +26,8 @@ from trl_explore.numerics.compiled.elementary import log32
 from trl_explore.numerics.compiled.normal import ndtri
 from trl_explore.numerics.compiled.philox import random
 from trl_explore.numerics.densities import LOG_SQRT_2PI
-from trl_explore.strategies.gaussian import BELOW_ONE, COLDEST
+from trl_explore.strategies.gaussian import COLDEST
+from trl_explore.strategies.strategy import BELOW_ONE
 
 _ONE = np.float32(1)
 

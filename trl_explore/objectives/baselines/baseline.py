@@ -54,6 +54,9 @@ class Baseline(nn.Module, ABC):
 class Constant(Baseline):
     """b_t = value, one number for all frames; 0 in the thesis.
 
+    Args:
+        value: the number.
+
     Raises:
         ValueError: if the value is not a finite number.
 

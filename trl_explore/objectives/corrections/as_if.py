@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential
@@ -84,12 +83,7 @@ alone; VDBE's do not
         self, actor: ProbabilisticTensorDictSequential, frames: TensorDictBase, action: Tensor
     ) -> Tensor:
         """Log μ'(a|s) of every frame [frames]."""
-        logits, mask = actor[0](frames.copy()).get("logits"), frames.get("action_mask", None)
-        if mask is not None:
-            logits = logits.masked_fill(~mask.bool(), -torch.inf)
-        strategy = self._present()
-        probs = strategy.probs(strategy.preferences(frames, logits), frames.get("trial", None))
-        return probs.gather(-1, action.unsqueeze(-1)).squeeze(-1).log()
+        return self._present().log_prob(actor[0](frames.copy()), action)
 
     def _present(self) -> Strategy:
         """The strategy of μ', in the iteration of the strategy that collects the data."""

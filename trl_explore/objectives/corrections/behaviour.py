@@ -8,11 +8,10 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
-from torch.distributions import Categorical, Distribution
+from torch.distributions import Categorical, Distribution, Independent
 from torchrl.modules import ProbabilisticActor
 
 from trl_explore.objectives.corrections.correction import NoCorrection
-from trl_explore.policies.actor import masked_logits
 from trl_explore.strategies import BaseStrategy, ContinuousStrategy, Strategy
 
 
@@ -63,12 +62,24 @@ class BehaviourActor(ProbabilisticActor):
 
     def __init__(self, actor: ProbabilisticActor, strategy: Strategy) -> None:
         networks: Any = [*actor.module[:-1], _Probs(strategy)]
+        options = {"strategy": strategy} if strategy.joint else {"validate_args": False}
         super().__init__(
             cast(Any, TensorDictSequential(*networks)),
             in_keys=["probs"],
-            distribution_class=Categorical,
-            distribution_kwargs={"validate_args": False},
+            distribution_class=_Heads if strategy.joint else Categorical,
+            distribution_kwargs=options,
         )
+
+
+class _Heads(Independent):
+    """Several heads, each of which draws an action of its own."""
+
+    def __init__(self, probs: Tensor, strategy: Strategy) -> None:
+        super().__init__(Categorical(probs, validate_args=False), 1, validate_args=False)
+        self.index = strategy.index
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        return super().log_prob(self.index(value))
 
 
 class ContinuousBehaviourActor(ProbabilisticActor):
@@ -122,15 +133,11 @@ class _Probs(TensorDictModuleBase):
         super().__init__()
         self.in_keys = [strategy.logits_key]  # pyright: ignore[reportAttributeAccessIssue]
         self.out_keys = ["probs"]  # pyright: ignore[reportAttributeAccessIssue]
-        self.probs, self.mask_key = strategy.probs, strategy.action_mask_key
-        self.trial_key = strategy.trial_key
+        self.probs_of = strategy.probs_of  # a function: the strategy is no part of the actor
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        logits, mask = tensordict.get(self.in_keys[0]), tensordict.get(self.mask_key, None)
-        if mask is not None:
-            logits = masked_logits(logits, mask)
-        probs = self.probs(logits, tensordict.get(self.trial_key, None))
-        return tensordict.set("probs", _connected(probs, logits))
+        probs = self.probs_of(tensordict)
+        return tensordict.set("probs", _connected(probs, tensordict.get(self.in_keys[0])))
 
 
 def _connected(found: Tensor, source: Tensor) -> Tensor:
