@@ -16,6 +16,8 @@ from trl_explore.jobs import signals
 
 COMMANDS = {
     "train": "train agents: one job, or a sweep of jobs (-m)",
+    "settle": "add trials to a sweep until its comparisons are decided",
+    "tune": "tune each strategy, and compare the best settings on other seeds",
     "report": "turn job and sweep folders into one HTML page",
     "watch": "film agents of finished jobs, side by side",
     "status": "show which jobs are done, running, failed or left",
@@ -49,7 +51,7 @@ def main(words: Sequence[str] | None = None) -> int:
     if name not in COMMANDS:
         print(f"error: unknown command {name!r}; available: {', '.join(COMMANDS)}", file=sys.stderr)
         return 1
-    if name == "train":
+    if name in ("train", "settle", "tune"):
         signals.leave_on_signals()
     sys.argv = [f"trl-explore {name}", *arguments]
     try:

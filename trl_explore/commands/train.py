@@ -7,6 +7,7 @@ import logging
 import os
 import sys
 import traceback
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from io import TextIOWrapper
@@ -226,8 +227,12 @@ def after_iteration(progress: Progress, saver: Saver, trials: Trials) -> None:
     saver(trials)
 
 
-def main() -> int:
-    """Run Hydra; a user error prints one line on stderr and returns status 1."""
+def main(action: Callable[[], int] | None = None) -> int:
+    """Run Hydra; a user error prints one line on stderr and returns status 1.
+
+    Args:
+        action: what to do with the words of the command; by default, run their jobs.
+    """
     logging.basicConfig(format="%(message)s", stream=sys.stderr)
     logging.getLogger("trl_explore").setLevel(logging.INFO)
     if os.environ.get("HYDRA_FULL_ERROR"):
@@ -236,7 +241,7 @@ def main() -> int:
     configuration.register_resolvers()
     sys.argv[1:] = sorted(sys.argv[1:], key=_place)
     try:
-        return sweep()
+        return _reported(action or sweep)
     except Interrupted as error:
         print(f"{error}{error.where}; run the same command to resume", file=sys.stderr)
         return error.status
@@ -268,20 +273,10 @@ def own_folder() -> Path:
     return found.config_dir.resolve()
 
 
-def sweep() -> int:
-    """Run all jobs of the command; return the exit status."""
+def _reported(action: Callable[[], int]) -> int:
+    """The exit status of an action; an error of the user is one line on stderr, and status 1."""
     try:
-        signals.raise_on_signals()
-        folder = own_folder()
-        start = hydra.main(version_base="1.3", config_path=str(folder), config_name="train")
-        jobs = configuration.collect(start(run))
-        signals.check()
-        finished = [job.folder for job in jobs if not job.error]
-        failed = [job for job in jobs if job.error]
-        if finished:
-            show(finished)
-            if text := configuration.best(finished[0].parent):
-                print(text)
+        return action()
     except Exception as error:
         signals.check()
         if TRACEBACK in os.environ or not isinstance(error, (HydraException, *EXPECTED)):
@@ -289,6 +284,27 @@ def sweep() -> int:
         unread = configuration.unreadable(sys.argv[1:]) if isinstance(error, HydraException) else ""
         tell(unread or configuration.describe(error))
         return 1
+
+
+def run_jobs() -> list[configuration.Ended]:
+    """Run all jobs of the words in ``sys.argv``; return how each ended."""
+    signals.raise_on_signals()
+    folder = own_folder()
+    start = hydra.main(version_base="1.3", config_path=str(folder), config_name="train")
+    jobs = configuration.collect(start(run))
+    signals.check()
+    return jobs
+
+
+def sweep() -> int:
+    """Run all jobs of the command; return the exit status."""
+    jobs = run_jobs()
+    finished = [job.folder for job in jobs if not job.error]
+    failed = [job for job in jobs if job.error]
+    if finished:
+        show(finished)
+        if text := configuration.best(finished[0].parent):
+            print(text)
     if len(jobs) > 1 and failed:
         print(f"{len(failed)} of {len(jobs)} jobs failed:", file=sys.stderr)
         for job in failed:

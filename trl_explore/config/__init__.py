@@ -9,7 +9,7 @@ from trl_explore.config.building import build_shards, build_trainer, fill_thresh
 from trl_explore.config.checking import check_keys, describe, differences, resolved, unreadable
 from trl_explore.config.files import CONF, GROUPS, INERT, ConfigError, files_of, search_in
 from trl_explore.config.naming import job_name, register_resolvers
-from trl_explore.config.objective import best, returned
+from trl_explore.config.objective import best, measured, objective, returned
 from trl_explore.config.sweeping import (
     Ended,
     collect,
@@ -45,6 +45,8 @@ __all__ = [
     "is_repeated",
     "is_worker",
     "job_name",
+    "measured",
+    "objective",
     "register_resolvers",
     "resolved",
     "returned",

@@ -66,13 +66,18 @@ def objective(outcomes: Outcomes, direction: str) -> float:
     counts as the cap, or as the lowest score of the environment (-1e6 if that is unknown).
     """
     if direction == "minimize":
-        if outcomes.config.get("stop_on") in ("learned", "both", "never"):
-            measure = "passed" if outcomes.learned is None else "learned"
-            outcomes = judged(outcomes, measure)
+        outcomes = measured(outcomes)
         return float(np.where(outcomes.converged, outcomes.iterations, outcomes.cap).mean())
     scores = outcomes.score if outcomes.learned_score is None else outcomes.learned_score
     bad = (outcomes.status == "diverged") | ~np.isfinite(scores)
     return float(np.where(bad, _lowest(outcomes.config.get("env")), scores).mean())
+
+
+def measured(outcomes: Outcomes) -> Outcomes:
+    """The outcomes by the measure of which the objective is the time."""
+    if outcomes.config.get("stop_on") in ("learned", "both", "never"):
+        return judged(outcomes, "passed" if outcomes.learned is None else "learned")
+    return outcomes
 
 
 def worst(config: DictConfig, direction: str) -> float:

@@ -126,25 +126,35 @@ def build_page(
         ResultsError: the folder is a link.
     """
     sections = [_section(task, f"environment-{k + 1}") for k, task in enumerate(found)]
-    pictures = [figure for section in sections for figure in section.figures]
     used = [run for run in runs if run.used]
     tables = [runs_table(runs), groups_table(runs), *(t for s in sections for t in s.tables)]
-    html = (
-        environment()
-        .get_template("logs.html")
-        .render(
-            title=_title(found),
-            facts=f"{len(used)} runs, {len(by_configuration(runs))} configurations, one number of"
-            " each run in every test.",
-            css=Markup(_file("page.css") + theme_css(f.svg for f in pictures)),
-            script=Markup(_file("page.js")),
-            setup=_setup(runs, found, source, others),
-            groups=tables[1],
-            runs=tables[0],
-            sections=sections,
-            method=_method(found),
-            limits=_limits(found),
-        )
+    return write_page(
+        out,
+        sections,
+        tables,
+        title=_title(found),
+        heading="What was read",
+        facts=f"{len(used)} runs, {len(by_configuration(runs))} configurations, one number of"
+        " each run in every test.",
+        setup=_setup(runs, found, source, others),
+        groups=tables[1],
+        runs=tables[0],
+        method=_method(found),
+        limits=_limits(found),
+    )
+
+
+def write_page(
+    out: Path, sections: Sequence[Section], tables: Sequence[Table], **parts: Any
+) -> Path:
+    """Write a page of ``logs.html`` with its figures and tables; return its path."""
+    pictures = [figure for section in sections for figure in section.figures]
+    template = environment().get_template("logs.html")
+    html = template.render(
+        css=Markup(_file("page.css") + theme_css(f.svg for f in pictures)),
+        script=Markup(_file("page.js")),
+        sections=sections,
+        **parts,
     )
     _clear(out)
     for figure in pictures:

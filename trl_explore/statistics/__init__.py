@@ -11,6 +11,7 @@
 ``learning``     when a trial has learned: the evaluations and their rule
 ``decomposition``  the parts of a difference: acting, bias, data
 ``comparisons``  differences of two configurations, with Holm's correction over many pairs
+``sequential``   trials added until all pairs are decided, with the error held
 ``power``        how many trials are needed to detect a difference
 
 Nothing is drawn at random. In all functions, ``level`` is the confidence level of every interval.
