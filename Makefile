@@ -12,7 +12,7 @@ OUT ?= outputs
 KILLS ?= 300
 SEED ?= 0
 
-.PHONY: help env thesis test lint lesson docs bench soak test-slurm test-ray test-pythons test-lowest clean
+.PHONY: help env thesis map map-full test lint lesson docs bench soak test-slurm test-ray test-pythons test-lowest clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -33,6 +33,14 @@ thesis: $(READY)
 	$(BIN)/trl-explore time $(OUT)/thesis --trials 30
 	$(BIN)/trl-explore time $(OUT)/decay_grid
 	$(BIN)/trl-explore report $(OUT)/thesis $(OUT)/epsilon_grid $(OUT)/decay_grid --out $(OUT)/report
+
+# make map:     train a small map of the mixtures and write its page (minutes)
+map: $(READY)
+	$(BIN)/trl-explore map --jobs $(OUT)/map
+
+# make map-full: the map of docs/map.html: 318 cells of 1,000 agents
+map-full: $(READY)
+	nice -n 10 $(BIN)/trl-explore map --full --jobs $(OUT)/map-full
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -44,7 +44,7 @@ USERS = {
     "hydra": ("config", "commands"),
     "omegaconf": ("config", "commands"),
     "matplotlib": ("report", "show"),
-    "jinja2": ("report",),
+    "jinja2": ("report", "show"),
     f"{NAME}.thesis": ("thesis", "report"),
 }
 """The only parts of the package that may import each of these, anywhere in their modules."""

@@ -20,6 +20,7 @@ COMMANDS = {
     "tune": "tune each strategy, and compare the best settings on other seeds",
     "report": "turn job and sweep folders into one HTML page",
     "watch": "film agents of finished jobs, side by side",
+    "map": "train the mixtures of argmax, softmax and uniform, and write a page of them",
     "status": "show which jobs are done, running, failed or left",
     "time": "time single trials of finished jobs",
     "verify": "run finished jobs again and compare the results",

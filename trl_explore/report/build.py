@@ -22,6 +22,8 @@ from trl_explore.report.tables import Table
 from trl_explore.report.why import decomposition_tables
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
+MAP = "map.html"
+"""The page of ``trl-explore map``; the report links to it if it lies beside it."""
 
 
 def build_report(folders: Sequence[Path], out: Path) -> tuple[Path, list[Gap]]:
@@ -57,6 +59,7 @@ def build_report(folders: Sequence[Path], out: Path) -> tuple[Path, list[Gap]]:
         why=why_tables(evidence),
         parts=decomposition_tables(evidence.decompositions),
         acting=list(draw_why(evidence.decompositions)),
+        map=MAP if (out / MAP).is_file() else "",
     )
     html = page(content)
     _clear(out)

@@ -43,6 +43,7 @@ class Content:
     why: Sequence[Table] = ()
     parts: Sequence[Table] = ()
     acting: Sequence[Picture] = ()
+    map: str = ""
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,7 @@ def page(content: Content) -> str:
         strategies=_strategies(evidence.outcomes),
         gaps=content.gaps,
         answer=evidence.answer,
+        map=content.map,
         hero=hero,
         claims_tally=tally(c.finding.verdict for c in evidence.checked),
         claims_known=claims_table([c for c in evidence.checked if c not in missing]),

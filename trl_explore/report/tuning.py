@@ -11,8 +11,7 @@ import numpy as np
 from trl_explore.names import strategy_label
 from trl_explore.report.figures.axes import handle, legend_above, new_figure, plain_numbers
 from trl_explore.report.logs import PERCENT, Picture, Section, write_page
-from trl_explore.report.render import to_png, to_svg
-from trl_explore.report.style import styles, visual_language
+from trl_explore.report.style import styles, to_png, to_svg, visual_language
 from trl_explore.report.tables import Column, Table
 from trl_explore.statistics.comparisons import Comparison, Measure, compare_all
 from trl_explore.statistics.estimates import Estimate

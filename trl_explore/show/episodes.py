@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from trl_explore.collectors import EpisodeCollector
 from trl_explore.config import ConfigError, build_trainer
 from trl_explore.config.recorded import RecordedJob
 from trl_explore.envs import LaneVectorEnv
+from trl_explore.envs.gym import make_gym
+from trl_explore.envs.seeding import Source
 from trl_explore.jobs.reading import read_weights
-from trl_explore.policies.policy import is_one_hot
 from trl_explore.training.evaluation import FINAL, SCHEDULED, episode_number
 from trl_explore.training.trainer import Trainer
 
@@ -27,26 +31,22 @@ class Episode:
         iteration: how many updates its weights have had.
         stopped: whether the trial stopped then, possibly before the iteration that was asked for.
         number: the number of the episode, from which its random streams follow.
-        observation: before every action [frames, n_features].
         action: [frames], or [frames, n_dims] where continuous.
         exploratory: whether an action is not of largest logit [frames]; None where continuous.
         reward: [frames].
         terminated: whether the environment ended it, not the time limit.
         lanes: the environment, with one lane.
-        one_hot: whether an observation is the index of a state.
     """
 
     trial: int
     iteration: int
     stopped: bool
     number: int
-    observation: NDArray[np.float32]
     action: NDArray[Any]
     exploratory: NDArray[np.bool_] | None
     reward: NDArray[np.float64]
     terminated: bool
     lanes: LaneVectorEnv
-    one_hot: bool
 
     @property
     def score(self) -> float:
@@ -93,22 +93,7 @@ def play(
             number = episode_number(FINAL if final else SCHEDULED, at, 0)
         else:
             collector, number = player.collector, at * player.collector.episodes_per_update
-        collector.episodes[:] = number
-        rollout = collector.collect()
-        frames: Any = rollout.frames[: int(rollout.length.reshape(-1)[0])]
-        return Episode(
-            trial=trial,
-            iteration=at,
-            stopped=at == last,
-            number=number,
-            observation=frames["observation"].numpy().copy(),
-            action=frames["action"].numpy().copy(),
-            exploratory=_exploratory(player, frames),
-            reward=frames["next", "reward"].double().reshape(-1).numpy().copy(),
-            terminated=bool(frames["next", "terminated"][-1]),
-            lanes=collector.lanes,
-            one_hot=is_one_hot(collector.env),
-        )
+        return episode_of(collector, number, trial, at, at == last)
     finally:
         player.close()
 
@@ -147,10 +132,29 @@ def _recorded(job: RecordedJob, row: int, at: int, last: int) -> dict[str, NDArr
     return {name.partition("/")[2]: kept[name][row] for name in names} or None
 
 
+def episode_of(
+    collector: EpisodeCollector, number: int, trial: int, at: int, stopped: bool
+) -> Episode:
+    """The episode ``number`` of a collector of one trial; see ``Episode`` for the arguments."""
+    collector.episodes[:] = number
+    rollout = collector.collect()
+    frames: Any = rollout.frames[: int(rollout.length.reshape(-1)[0])]
+    return Episode(
+        trial=trial,
+        iteration=at,
+        stopped=stopped,
+        number=number,
+        action=frames["action"].numpy().copy(),
+        exploratory=_exploratory(collector.policy[0], frames),
+        reward=frames["next", "reward"].double().reshape(-1).numpy().copy(),
+        terminated=bool(frames["next", "terminated"][-1]),
+        lanes=collector.lanes,
+    )
+
+
 @torch.no_grad()
-def _exploratory(player: Trainer, frames: Any) -> NDArray[np.bool_] | None:
+def _exploratory(policy: Any, frames: Any) -> NDArray[np.bool_] | None:
     """Whether each action differs from those that the policy prefers."""
-    policy: Any = player.collector.policy[0]
     logits = policy(frames.clone()).get("logits", None)
     if logits is None:
         return None
@@ -159,3 +163,27 @@ def _exploratory(player: Trainer, frames: Any) -> NDArray[np.bool_] | None:
         logits = logits.masked_fill(~mask, -torch.inf)
     taken = logits.gather(-1, frames["action"].unsqueeze(-1)).squeeze(-1)
     return (taken < logits.amax(-1)).numpy()
+
+
+def replayed(
+    episode: Episode, see: Callable[[gym.Env, Any], Any], *, render_mode: str | None = None
+) -> list[Any]:
+    """What ``see(env, observation)`` returns before every action and after the last.
+
+    The environment is played again from the episode's own random stream, with its actions.
+    """
+    lanes = episode.lanes
+    id, max_steps, kwargs, *others = lanes.make.args
+    mode = {} if render_mode is None else {"render_mode": render_mode}
+    env = make_gym(id, max_steps, {**kwargs, **mode}, *others)
+    try:
+        observation, _ = Source(env).reset(lanes.seed, lanes.stream, episode.trial, episode.number)
+        seen = [see(env, observation)]
+        for action in lanes.actions.read(episode.action):
+            observation, _, terminated, truncated, _ = env.step(action)
+            seen.append(see(env, observation))
+            if terminated or truncated:
+                break
+        return seen
+    finally:
+        env.close()

@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from trl_explore.checks import first_line
-from trl_explore.envs.gym import make_gym
-from trl_explore.envs.seeding import Source
-from trl_explore.show.episodes import Episode
+from trl_explore.show.episodes import Episode, replayed
 
 WIDTH, GAP = 300, 14
 """Width of a panel and of the space around it [px]."""
@@ -46,8 +44,6 @@ class Panel:
 def pictures(episode: Episode) -> list[NDArray[np.uint8]]:
     """What the environment's renderer shows before every action and after the last.
 
-    The environment is played again from the episode's own random stream, with its actions.
-
     Raises:
         ValueError: if the environment has no renderer, or the renderer lacks a package.
     """
@@ -57,24 +53,17 @@ def pictures(episode: Episode) -> list[NDArray[np.uint8]]:
     modes = lanes.metadata.get("render_modes") or []
     if "rgb_array" not in modes:
         raise ValueError(f"environment {lanes.id!r} has no renderer of pictures (rgb_array)")
-    id, max_steps, kwargs, *others = lanes.make.args
-    env = make_gym(id, max_steps, {**kwargs, "render_mode": "rgb_array"}, *others)
     try:
-        Source(env).reset(lanes.seed, lanes.stream, episode.trial, episode.number)
-        shown = [np.asarray(env.render(), dtype=np.uint8)]
-        for action in lanes.actions.read(episode.action):
-            _, _, terminated, truncated, _ = env.step(action)
-            shown.append(np.asarray(env.render(), dtype=np.uint8))
-            if terminated or truncated:
-                break
+        return replayed(
+            episode,
+            lambda env, _: np.asarray(env.render(), dtype=np.uint8),
+            render_mode="rgb_array",
+        )
     except gym.error.DependencyNotInstalled as error:
         raise ValueError(
-            f"the renderer of {id!r} needs a missing package: pip install 'trl_explore[watch]' "
-            f"({first_line(error)})"
+            f"the renderer of {lanes.id!r} needs a missing package: "
+            f"pip install 'trl_explore[watch]' ({first_line(error)})"
         ) from error
-    finally:
-        env.close()
-    return shown
 
 
 def write_film(path: Path, panels: Sequence[Panel], columns: int = ROW) -> None:
