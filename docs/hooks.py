@@ -28,6 +28,7 @@ def relink(text: str, up: str) -> str:
         up: the path from the page to the root of the repository: "" or "../".
     """
     text = re.sub(rf"\]\({up}examples/(\w+)\.py\)", r"](examples.md#\1)", text)
+    text = text.replace(f"]({up}lesson/lesson.ipynb)", "](lesson.md)")
     if not up:
         text = text.replace("](docs/", "](").replace('src="docs/', 'src="')
     return text.replace(f"]({up}benchmarks/", "](benchmarks/")

@@ -82,3 +82,13 @@ def test_the_search_works_from_the_disk(site):
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert "1 matching document" in done.stdout
+
+
+def test_the_tables_of_the_options_are_those_of_the_program(monkeypatch):
+    """``python docs/tables.py`` writes them."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    import tables
+
+    page = tables.PAGE.read_text(encoding="utf-8")
+    assert tables.written(page) == page
+    assert page.count("| `softmax` |") == 1

@@ -269,7 +269,7 @@ def own_folder() -> Path:
         return CONF
     if not found.config_dir.is_dir():
         raise ConfigError(f"--config-dir {found.config_dir}: no such folder")
-    sys.argv[1:] = ["--config-dir", str(CONF), *others]
+    sys.argv[1:] = [f"--config-dir={CONF}", *others]
     return found.config_dir.resolve()
 
 

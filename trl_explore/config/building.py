@@ -131,7 +131,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
         _check_transforms(config, make)
     env = make(trials=size, **streams)
     check_actions(config, env.action_spec.domain)
-    policy = _instantiate(config, "policy")(env=env, **streams)
+    policy = _policy(config)(env=env, **streams)
     baseline = _instantiate(config, "baseline")()
     baseline.bind(env)
     optimizer = _instantiate(config, "optimizer")(_parameters(policy, baseline))
@@ -161,6 +161,12 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
         "snapshots": _build(None, lambda: Snapshots(policy, kept, cap)) if kept else None,
     }
     return _build(None, lambda: Trainer(collector, loss, optimizer, trials, **parts))
+
+
+def _policy(config: DictConfig) -> Callable[..., Any]:
+    """The constructor of the policy; its learning rate is for the optimiser."""
+    plain = {key: value for key, value in config.policy.items() if key != "lr"}
+    return _instantiate(OmegaConf.create({"policy": plain}), "policy")
 
 
 def _environment(config: DictConfig) -> Callable[..., Any]:

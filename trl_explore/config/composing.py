@@ -62,6 +62,25 @@ def composed(overrides: list[str]) -> tuple[DictConfig, DictConfig]:
     return config, hydra
 
 
+def build(*overrides: str, config_dir: str | Path | None = None) -> Trainer:
+    """The trainer of the job that these words of the command line describe.
+
+    Raises:
+        ConfigError: if a value is not allowed, or the words describe several jobs.
+    """
+    import torch
+
+    torch.set_num_threads(1)
+    try:
+        with searching(Path(config_dir) if config_dir else None):
+            config, hydra = composed(list(overrides))
+            if hydra.mode == RunMode.MULTIRUN:
+                raise ConfigError("this is a sweep: give one job, or use trl-explore train")
+            return build_trainer(config)
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(describe(error)) from error
+
+
 def train(*overrides: str, config_dir: str | Path | None = None) -> Trainer:
     """Train the trials that these words of the command line describe; write no files.
 
@@ -84,16 +103,6 @@ def train(*overrides: str, config_dir: str | Path | None = None) -> Trainer:
         >>> trainer.trials.iterations
         array([3, 3])
     """
-    import torch
-
-    torch.set_num_threads(1)
-    try:
-        with searching(Path(config_dir) if config_dir else None):
-            config, hydra = composed(list(overrides))
-            if hydra.mode == RunMode.MULTIRUN:
-                raise ConfigError("this is a sweep: give one job, or use trl-explore train")
-            trainer = build_trainer(config)
-    except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(describe(error)) from error
+    trainer = build(*overrides, config_dir=config_dir)
     trainer.run()
     return trainer
