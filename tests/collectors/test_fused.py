@@ -15,9 +15,8 @@ from torchrl.envs import RewardScaling
 
 from trl_explore.collectors import FusedCollector, NotCompilableError, auto_collector
 from trl_explore.collectors.fused import collector as module
-from trl_explore.collectors.fused.lanes import LANES
 from trl_explore.collectors.fused.loop import compile_loop
-from trl_explore.collectors.fused.scratch import Scratch, scratch
+from trl_explore.collectors.fused.memory import LANES, Scratch, scratch
 from trl_explore.collectors.networks import Network
 from trl_explore.envs import make_env
 from trl_explore.envs.kernels import Kernel, kernel_of, register_kernel

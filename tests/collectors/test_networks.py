@@ -16,8 +16,12 @@ from torchrl.envs import Transform
 from torchrl.envs.utils import ExplorationType
 
 from tests.collectors.test_agreement import assert_same
-from trl_explore.collectors import FusedCollector, NotCompilableError, TorchRLCollector
-from trl_explore.collectors.fused import collector as module
+from trl_explore.collectors import (
+    FusedCollector,
+    NotCompilableError,
+    TorchRLCollector,
+    compiling,
+)
 from trl_explore.collectors.networks import Network, arrays, compile_network, network_of
 from trl_explore.envs import make_env
 from trl_explore.envs.kernels import Kernel, kernel_function, register_kernel
@@ -216,7 +220,7 @@ class RingMask(Transform):
 
 @pytest.fixture
 def ring_env(monkeypatch):
-    monkeypatch.setattr(module, "TRANSFORMS", (*module.TRANSFORMS, RingMask))
+    monkeypatch.setattr(compiling, "TRANSFORMS", (*compiling.TRANSFORMS, RingMask))
     gym.register("Ring-v0", entry_point=Ring, max_episode_steps=40)
 
     def make(trials=40, masked=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import signal
 from fractions import Fraction
 
@@ -14,6 +15,16 @@ from gymnasium.envs.registration import EnvSpec
 
 from trl_explore.envs import LaneVectorEnv
 from trl_explore.envs.copies import EnvError
+
+
+class SilentError(Exception):
+    """Neither it nor its message can be shown."""
+
+    def __repr__(self):
+        raise RuntimeError
+
+    __str__ = __repr__
+
 
 GOOD = (np.zeros(3, np.float32), 1.0, False, False, {})
 
@@ -73,6 +84,9 @@ WRONG = {
     "reward array([1.])": {"reward": np.array([1.0])},
     "reward None": {"reward": None},
     "reward '1.5'": {"reward": "1.5"},
+    "reward a SilentError, which is not a number": {"reward": SilentError()},
+    "observation = a SilentError, which is not": {"observation": SilentError()},
+    "terminated = array(True)": {"terminated": np.array(True)},
     "reward (1+2j)": {"reward": 1 + 2j},
     "reward tensor(1.)": {"reward": torch.tensor(1.0)},
     "reward masked": {"reward": np.ma.masked},
@@ -114,6 +128,10 @@ RIGHT = {
     "zero-dimensional": ({"reward": np.array(2.5)}, "reward", 2.5),
     "fraction": ({"reward": Fraction(1, 2)}, "reward", 0.5),
     "true": ({"reward": True}, "reward", 1),
+    "numpy true": ({"reward": np.bool_(True)}, "reward", 1),
+    "half": ({"reward": np.float16(0.5)}, "reward", 0.5),
+    "other byte order": ({"observation": np.arange(3, dtype=">f4")}, "observation", [0, 1, 2]),
+    "every second": ({"observation": np.arange(6, dtype="f4")[::2]}, "observation", [0, 2, 4]),
     "numpy bool": ({"terminated": np.bool_(True)}, "terminated", True),
     "truncated": ({"truncated": np.bool_(True)}, "truncated", True),
 }
@@ -153,6 +171,10 @@ def test_old_interfaces_are_named(method, returned, message, odd, monkeypatch):
         (StopIteration(), ""),
         (MemoryError(), ""),
         (ValueError("x"), ": x"),
+        (ValueError("x" * 10**6), ": x{1000}"),
+        (asyncio.CancelledError(), ""),  # no Exception
+        (GeneratorExit(), ""),
+        (SilentError(), ""),
     ],
 )
 @pytest.mark.parametrize("method", ["step", "reset"])
@@ -166,6 +188,34 @@ def test_an_error_is_placed(method, error, message, odd, monkeypatch):
     with pytest.raises(EnvError, match=place) as raised:
         play(odd)
     assert raised.value.__cause__ is error  # for the traceback
+
+
+def test_closing_goes_on_after_an_error(odd, monkeypatch, caplog):
+    def fail(env):
+        closed.append(env)
+        raise OSError("the window is gone")
+
+    closed: list[Odd] = []
+    lanes = play(odd)
+    monkeypatch.setattr(Odd, "close", fail)
+    lanes.close()
+    assert len(closed) == 2
+    line = "environment 'Odd-v0' raised OSError: the window is gone when it was closed"
+    assert caplog.messages == [line, line]
+
+
+def test_another_action_space_in_another_trial(odd, monkeypatch):
+    """A policy has one number of actions."""
+
+    def build(self):
+        self.resets = 0
+        numbers.append(2 + len(numbers) // 2)
+        self.action_space = spaces.Discrete(numbers[-1])
+
+    numbers: list[int] = []
+    monkeypatch.setattr(Odd, "__init__", build)
+    with pytest.raises(EnvError, match=r"Discrete\(3\) in one trial and Discrete\(2\) in another"):
+        play(odd)
 
 
 def test_ctrl_c_is_no_error_of_the_environment(odd, monkeypatch):

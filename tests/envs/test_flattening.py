@@ -58,6 +58,7 @@ def test_the_vectors_are_gymnasiums(name):
         ("multi-discrete", np.array([7, 0]), r"observation = array\(\[7, 0\]\), but its space"),
         ("multi-discrete", np.array([4.0, 0.0]), "observation = array"),
         ("multi-binary", np.zeros(4), r"shape \(4,\), but its space has \(2, 2\)"),
+        ("multi-binary", np.full((2, 2), 2), "but its space has 0 and 1"),
         ("tuple", [0, np.zeros((2, 2))], "of type list, not tuple"),
         ("tuple", (0,), r"parts \['0'\], but its space has \['0', '1'\]"),
         ("dict", {"a": np.zeros(2)}, r"parts \['a'\], but its space has \['a', 'b'\]"),

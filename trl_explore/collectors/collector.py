@@ -18,6 +18,7 @@ from torchrl.envs.utils import ExplorationType
 
 from trl_explore.checks import check_integer
 from trl_explore.envs import LaneVectorEnv, lane_env
+from trl_explore.envs.probing import check_resumable
 from trl_explore.strategies import BaseStrategy
 
 
@@ -105,7 +106,12 @@ class EpisodeCollector(BaseCollector):
         self.total_frames = total_frames
         self.episodes_per_update = check_integer("episodes_per_update", episodes_per_update, 1)
         lanes = self.lanes
-        self.strategy = _strategy_of(policy)
+        if not isinstance(strategy := policy[-1], BaseStrategy):
+            raise ValueError(
+                "the collector's policy must be TensorDictSequential(policy, strategy); "
+                f"its last module is a {type(strategy).__name__}"
+            )
+        self.strategy = strategy
         self.strategy.serve(env.action_spec)
         self.strategy.bind(
             policy[0], lanes.num_envs, seed=lanes.seed, first_trial=lanes.first_trial
@@ -224,7 +230,13 @@ class EpisodeCollector(BaseCollector):
         )
 
     def load_state_dict(self, state_dict: OrderedDict[str, Any]) -> None:
-        """Restore a ``state_dict``."""
+        """Restore a ``state_dict``.
+
+        Raises:
+            ValueError: if the environment keeps state that it does not hold.
+        """
+        if state_dict["frames"]:
+            self._check_resumable()
         self.policy.load_state_dict(state_dict["policy_state_dict"])
         self.lanes.reseed(state_dict["seed"])
         self.episodes[:] = state_dict["episodes"].numpy()
@@ -233,26 +245,18 @@ class EpisodeCollector(BaseCollector):
     def shutdown(
         self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True
     ) -> None:
-        """Close the environment."""
+        """Close the environment and free the memory for frames."""
         if not self.closed:
             self.closed = True
+            self._free()
             if close_env and not self.env.is_closed:
                 self.env.close(raise_if_closed=raise_on_error)
 
+    def _check_resumable(self) -> None:
+        check_resumable(self.lanes)
+
+    def _free(self) -> None:
+        """Free the memory for frames."""
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}(env={self.lanes.id}, trials={self.trials})"
-
-
-def _strategy_of(policy: TensorDictSequential) -> BaseStrategy:
-    """The strategy, which is the last module of the policy.
-
-    Raises:
-        ValueError: if the last module is not a strategy.
-    """
-    strategy = policy[-1]
-    if not isinstance(strategy, BaseStrategy):
-        raise ValueError(
-            "the collector's policy must be TensorDictSequential(policy, strategy); "
-            f"its last module is a {type(strategy).__name__}"
-        )
-    return strategy

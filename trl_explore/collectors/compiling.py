@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import Any, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from tensordict.nn import TensorDictSequential
 from torch import nn
 from torchrl.data import OneHot
-from torchrl.envs import TransformedEnv
+from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
 
 from trl_explore.checks import holds
 from trl_explore.collectors.networks import Network
 from trl_explore.policies.policy import has_hooks
 from trl_explore.strategies import ContinuousMixtureStrategy, MixtureStrategy
+
+TRANSFORMS = (StepCounter, RewardSum)
+"""The transforms that compiled code stands in for."""
 
 
 class NotCompilableError(ValueError):
@@ -27,44 +31,52 @@ def has_mask(env: TransformedEnv) -> bool:
     return env.observation_spec.get("action_mask", None) is not None
 
 
-def check_mixture(strategy: Any) -> None:
-    """Reject a strategy over n actions that its mixture does not describe completely.
+def check_mixture(strategy: Any, *, continuous: bool = False) -> None:
+    """Reject a strategy that its mixture does not describe completely.
+
+    Args:
+        strategy: the strategy.
+        continuous: whether it is over vectors; otherwise over n actions.
 
     Raises:
         NotCompilableError: with the reason.
     """
     name = type(strategy).__name__
-    if not isinstance(strategy, MixtureStrategy):
-        raise NotCompilableError(f"{name} is not a mixture of argmax, softmax and uniform")
-    if not strategy.compilable or not holds(strategy, "compilable", strategy.REPLACED):
+    kind = ContinuousMixtureStrategy if continuous else MixtureStrategy
+    parts = "mean, Gaussian" if continuous else "argmax, softmax"
+    if not isinstance(strategy, kind):
+        raise NotCompilableError(f"{name} is not a mixture of {parts} and uniform")
+    declared = "mixes_policy" if continuous else "compilable"
+    if not getattr(strategy, declared) or not holds(strategy, declared, strategy.REPLACED):
         raise NotCompilableError(
-            f"{name} overrides one of {', '.join(MixtureStrategy.REPLACED)} "
+            f"{name} overrides one of {', '.join(kind.REPLACED)} "
             "and does not declare itself compilable"
         )
     if has_hooks(strategy):
         raise NotCompilableError(f"{name} has hooks")
-    keys = (strategy.logits_key, strategy.action_key, strategy.action_mask_key)
-    if keys != ("logits", "action", "action_mask") or isinstance(strategy.spec, OneHot):
+    read = ("loc", "scale") if continuous else ("logits", "action_mask")
+    renamed = any(getattr(strategy, f"{key}_key") != key for key in (*read, "action"))
+    if renamed or isinstance(getattr(strategy, "spec", None), OneHot):
         raise NotCompilableError(f"{name} has one-hot actions or renamed entries")
+    if getattr(strategy, "squashed", False):
+        raise NotCompilableError(f"{name} squashes its actions")
 
 
-def check_gaussian(strategy: Any) -> None:
-    """Reject a strategy over vectors that its mixture does not describe completely.
+def check_transforms(env: TransformedEnv) -> None:
+    """Reject the transforms of the user.
 
     Raises:
-        NotCompilableError: with the reason.
+        NotCompilableError: with the name of the first.
     """
-    name = type(strategy).__name__
-    if not isinstance(strategy, ContinuousMixtureStrategy):
-        raise NotCompilableError(f"{name} is not a mixture of mean, Gaussian and uniform")
-    if not strategy.mixes_policy or not holds(strategy, "mixes_policy", strategy.REPLACED):
-        raise NotCompilableError(f"{name} overrides one of {', '.join(strategy.REPLACED)}")
-    if has_hooks(strategy):
-        raise NotCompilableError(f"{name} has hooks")
-    if (strategy.loc_key, strategy.scale_key, strategy.action_key) != ("loc", "scale", "action"):
-        raise NotCompilableError(f"{name} has renamed entries")
-    if strategy.squashed:
-        raise NotCompilableError(f"{name} squashes its actions")
+    for transform in cast(Iterable[Transform], env.transform or ()):
+        if type(transform) not in TRANSFORMS:
+            name = type(transform).__name__
+            raise NotCompilableError(f"it does not support the transform {name}")
+
+
+def names(policy: TensorDictSequential) -> str:
+    """The class names of the modules before the strategy."""
+    return ", ".join(type(module).__name__ for module in policy.module[:-1])
 
 
 def check_weights(

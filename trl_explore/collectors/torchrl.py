@@ -14,14 +14,11 @@ from torchrl.envs.transforms import Transform
 from torchrl.envs.utils import set_exploration_type
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
+from trl_explore.collectors.columns import NEXT, ROOT
 from trl_explore.numerics.streams import Stream, generator
 
 NOISE_STEPS = 128
 """The number of steps for which action noise is drawn at a time."""
-
-KEYS = ("trial", "observation", "action", "action_log_prob", "action_mask")
-SIGNALS = ("reward", "done", "terminated", "truncated")
-NEXT_KEYS = (*SIGNALS, "step_count", "episode_reward")
 
 
 class TorchRLCollector(EpisodeCollector):
@@ -82,7 +79,7 @@ class TorchRLCollector(EpisodeCollector):
         if self._has_inverse:
             return self.env.step(td).get("next")
         after = self.env.base_env._step(td)
-        for name in SIGNALS:
+        for name in NEXT[:4]:
             signal = after.get(name)
             if signal.ndim == 1:
                 after.set(name, signal.unsqueeze(-1))
@@ -99,10 +96,10 @@ class TorchRLCollector(EpisodeCollector):
         return any(transform.in_keys_inv for transform in self._transforms)
 
     def _frame(self, td: TensorDictBase) -> TensorDictBase:
-        source = {key: td.get(key) for key in KEYS if key in td}
+        source = {key: td.get(key) for key in ROOT if key in td}
         after = td.get("next")
         source["next"] = TensorDict._new_unsafe(
-            {key: after.get(key) for key in NEXT_KEYS}, batch_size=td.batch_size
+            {key: after.get(key) for key in NEXT}, batch_size=td.batch_size
         )
         return TensorDict._new_unsafe(source, batch_size=td.batch_size)
 

@@ -185,7 +185,7 @@ def _environment(config: DictConfig) -> Callable[..., Any]:
 
 def _check_transforms(config: DictConfig, make: Callable[..., Any]) -> None:
     """Reject transforms that mix trials, or fail; each error names the transform."""
-    from trl_explore.envs.transforms import check_transforms
+    from trl_explore.envs.probing import check_transforms
 
     nodes = config.env.get("transforms") or []
 

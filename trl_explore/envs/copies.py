@@ -6,37 +6,48 @@ the program uses it: no value of a wrong type or shape is converted in silence.
 
 from __future__ import annotations
 
+import logging
 import signal
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
 from math import isfinite
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.wrappers import OrderEnforcing, TimeLimit
 from numpy.typing import NDArray
 
-from trl_explore.envs.flattening import writer
+from trl_explore.checks import first_line
+from trl_explore.envs.flattening import Actions, shown, writer
 from trl_explore.envs.seeding import Source
 from trl_explore.numerics.streams import Stream
 
+logger = logging.getLogger(__name__)
+
 Make = Callable[[], gym.Env]
 
-FLOATS = (np.float64, np.float32)
-"""The usual types of a reward, besides float."""
+FLOATS = (float, np.float64, np.float32)
+"""The usual types of a reward."""
+MESSAGE = 1000
+"""The largest length of an environment's own message."""
 MAX_REWARD = 1e30
 """The largest magnitude of a reward, so that sums over an episode are finite as float32."""
+_FALSE = np.False_
 
 
 class EnvError(ValueError):
     """An environment that fails or returns what it must not; one line with trial and episode."""
 
+    @classmethod
+    def placed(cls, id: str, what: str, trial: int, episode: int) -> EnvError:
+        """The error of an environment that does ``what``."""
+        return cls(f"environment {id!r} {what} in episode {episode} of trial {trial}")
 
-@dataclass(frozen=True)
-class Signals:
-    """The last outputs of the copies.
+
+class Signals(NamedTuple):
+    """The last outputs of the copies, one column each, in one piece of memory.
 
     Attributes:
         observation: [n, n_features].
@@ -53,28 +64,37 @@ class Signals:
     mask: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, n: int, n_features: int, masked: int) -> Signals:
-        """Signals of n copies; ``masked`` is the number of actions in a mask, 0 without masks."""
-        return cls(
-            np.zeros((n, n_features), dtype=np.float32),
-            np.zeros(n),
-            np.zeros(n, dtype=np.bool_),
-            np.zeros(n, dtype=np.bool_),
-            np.ones((n, masked), dtype=np.bool_),
-        )
+    def of(cls, n: int, n_features: int, masked: int, memory: Any = None) -> Signals:
+        """Signals of n copies; ``masked`` is the number of actions in a mask, 0 without masks.
 
-    def every(self, k: int) -> Signals:
-        """A view of the copies 0, k, 2k, ..."""
-        return Signals(*(getattr(self, field.name)[::k] for field in fields(self)))
+        ``memory`` is a buffer of at least ``size`` bytes; None: memory of its own.
+        """
+        if memory is None:
+            memory = np.zeros(cls.size(n, n_features, masked), np.uint8)
+        columns: list[Any] = []
+        place = 0
+        for width, dtype in _columns(n_features, masked):
+            shape = (n,) if width is None else (n, width)
+            columns.append(np.ndarray(shape, dtype, memory, place))
+            place += _whole_words(columns[-1].nbytes)
+        columns[-1][:] = True
+        return cls(*columns)
 
-    def rows(self, rows: Sequence[int]) -> tuple[NDArray[Any], ...]:
-        """The columns of the copies ``rows``."""
-        return tuple(getattr(self, field.name)[rows] for field in fields(self))
+    @staticmethod
+    def size(n: int, n_features: int, masked: int) -> int:
+        """The bytes of n copies' signals."""
+        kinds = [(width or 1, np.dtype(dtype)) for width, dtype in _columns(n_features, masked)]
+        return sum(_whole_words(n * width * dtype.itemsize) for width, dtype in kinds)
 
-    def put(self, rows: Sequence[int], columns: tuple[NDArray[Any], ...]) -> None:
-        """Write the columns of the copies ``rows``."""
-        for field, column in zip(fields(self), columns, strict=True):
-            getattr(self, field.name)[rows] = column
+
+def _columns(n_features: int, masked: int) -> tuple[tuple[int | None, type], ...]:
+    """The numbers per copy (None: one, without a dimension) and the type of every signal."""
+    flag = (None, np.bool_)
+    return (n_features, np.float32), (None, np.float64), flag, flag, (masked, np.bool_)
+
+
+def _whole_words(size: int) -> int:
+    return -(-size // 8) * 8
 
 
 class Copies:
@@ -97,14 +117,24 @@ class Copies:
         self._rows = list(signals.observation)
         self._places = [(0, 0)] * len(self._rows)
         self._masked = signals.mask.shape[1]
+        # Assignment to a memoryview is fast, and fails if the type or the shape differs.
+        self._views: list[Any] = [_view(row) for row in self._rows]
+        self._rewards: Any = _view(signals.reward)
         if first is not None:
             self._add(first)
 
     def _add(self, env: gym.Env) -> None:
+        if self.envs and env.action_space != self.envs[0].action_space:
+            raise EnvError(
+                f"environment {self.id!r} has the action space {shown(env.action_space)} in one "
+                f"trial and {shown(self.envs[0].action_space)} in another"
+            )
+        if not self.envs:
+            space = env.observation_space
+            self._write, self._read = writer(space), Actions(env.action_space).read
+            self._vectors = isinstance(space, Box) and len(space.shape) == 1
         self.envs.append(env)
         self._sources.append(Source(env))
-        if not hasattr(self, "_write"):
-            self._write = writer(env.observation_space)
         step, limit = _without_wrappers(env)
         self._steps.append(step)
         self._limits.append(limit)
@@ -126,19 +156,16 @@ class Copies:
             self._places[row] = trial, episode
             try:
                 answer = self._sources[row].reset(seed, stream, trial, episode)
-            except (Exception, SystemExit, KeyboardInterrupt) as error:
+            except BaseException as error:
                 raise self._raised(row, error) from error
             if type(answer) is not tuple or len(answer) != 2 or not isinstance(answer[1], dict):
-                raise self.error(
+                raise self._error(
                     row,
                     f"returned {_kinds(answer)} from reset (an old gym API?); "
                     "it must return observation, info",
                 )
             observation, info = answer
-            try:
-                self._write(observation, self._rows[row])
-            except ValueError as error:
-                raise self.error(row, f"returned {error}") from None
+            self._observe(row, observation)
             self._ages[row] = 0
             signals.reward[row] = 0
             signals.terminated[row] = signals.truncated[row] = False
@@ -148,50 +175,65 @@ class Copies:
             elif "action_mask" in info:
                 self._check_info(row, info)
 
-    def step(self, rows: Sequence[int], actions: Sequence[Any]) -> None:
-        """Step the copies ``rows`` [m] with their actions [m]."""
-        signals = self.signals
-        rewards, terminated, truncated = signals.reward, signals.terminated, signals.truncated
-        steps, views, ages, limits = self._steps, self._rows, self._ages, self._limits
-        write, masked = self._write, self._masked
-        for row, action in zip(rows, actions, strict=True):
+    def step(  # noqa: C901 - one loop, because every call per step costs time
+        self, rows: Sequence[int], actions: NDArray[Any]
+    ) -> bool:
+        """Step the copies ``rows`` [m] with actions [m] or [m, n_dims]; whether one ends."""
+        terminated, truncated = self.signals.terminated, self.signals.truncated
+        steps, ages, limits, masked = self._steps, self._ages, self._limits, self._masked
+        views, rewards, vectors = self._views, self._rewards, self._vectors
+        vector, low, high, over = np.ndarray, -MAX_REWARD, MAX_REWARD, False
+        for row, action in zip(rows, self._read(actions), strict=True):
             try:
                 answer = steps[row](action)
-            except (Exception, SystemExit, KeyboardInterrupt) as error:
+            except BaseException as error:
                 raise self._raised(row, error) from error
             try:
                 observation, reward, end, cut, info = answer
             except (TypeError, ValueError):
                 raise self._wrong_step(row, answer) from None
-            if end is not False or cut is not False:  # both signals are False since the reset
+            if (end is not False and end is not _FALSE) or (cut is not False and cut is not _FALSE):
                 terminated[row], truncated[row] = self._flags(row, end, cut)
-            reward = float(reward) if type(reward) in FLOATS else reward
-            if type(reward) is not float or not -MAX_REWARD <= reward <= MAX_REWARD:
+                over = True
+            if type(reward) is not float or not low <= reward <= high:
                 reward = self._reward(row, reward)
-            try:
-                write(observation, views[row])
-            except ValueError as error:
-                raise self.error(row, f"returned {error}") from None
+            rewards[row] = reward
+            if vectors and type(observation) is vector:
+                try:
+                    views[row][:] = observation
+                except ValueError:
+                    vectors = self._vectors = False
+                    self._observe(row, observation)
+            else:
+                self._observe(row, observation)
             ages[row] = age = ages[row] + 1
             if age >= limits[row]:
-                truncated[row] = True
-            rewards[row] = reward
+                truncated[row] = over = True
             if masked:
                 self._read_mask(row, info)
             elif type(info) is not dict or "action_mask" in info:
                 self._check_info(row, info)
+        return over
 
     def close(self) -> None:
-        """Close every copy."""
+        """Close every copy; what one raises is said, but spoils nothing."""
         for env in self.envs:
-            env.close()
+            try:
+                env.close()
+            except Exception as error:
+                name = f"{type(error).__name__}: {first_line(error)}"
+                logger.warning("environment %r raised %s when it was closed", self.id, name)
+
+    def _observe(self, row: int, observation: Any) -> None:
+        try:
+            self._write(observation, self._rows[row])
+        except ValueError as error:
+            raise self._error(row, f"returned {error}") from None
 
     # What is wrong
 
-    def error(self, row: int, what: str) -> EnvError:
-        """The error of a copy that does ``what``, with the trial and the episode."""
-        trial, episode = self._places[row]
-        return EnvError(f"environment {self.id!r} {what} in episode {episode} of trial {trial}")
+    def _error(self, row: int, what: str) -> EnvError:
+        return EnvError.placed(self.id, what, *self._places[row])
 
     def _raised(self, row: int, error: BaseException) -> EnvError:
         """What an environment has raised, as one line; Ctrl-C goes on as it is."""
@@ -200,16 +242,16 @@ class Copies:
             default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
             if default or type(error) is not KeyboardInterrupt:
                 raise error
-        trial, episode = self._places[row]
-        message = " ".join(str(error).split())
-        return EnvError(
-            f"environment {self.id!r} raised {type(error).__name__} in episode {episode} "
-            f"of trial {trial}{f': {message}' if message else ''}"
-        )
+        placed = self._error(row, f"raised {type(error).__name__}")
+        try:
+            message = " ".join(str(error).split())[:MESSAGE]
+        except Exception:  # a message that cannot be made
+            return placed
+        return EnvError(f"{placed}: {message}") if message else placed
 
     def _wrong_step(self, row: int, answer: Any) -> EnvError:
         old = type(answer) is tuple and len(answer) == 4
-        return self.error(
+        return self._error(
             row,
             f"returned {_kinds(answer)} from step{' (the old gym API)' if old else ''}; "
             "it must return observation, reward, terminated, truncated, info",
@@ -217,34 +259,35 @@ class Copies:
 
     def _reward(self, row: int, reward: Any) -> float:
         """A reward that is not a Python float, as one."""
-        number = None
+        number = float(reward) if type(reward) in FLOATS else None
         zero_dimensional = type(reward) is np.ndarray and reward.shape == ()
-        if isinstance(reward, Real) or (zero_dimensional and reward.dtype.kind in "iuf"):
+        if number is None and (
+            isinstance(reward, Real | np.bool_)
+            or (zero_dimensional and reward.dtype.kind in "biuf")
+        ):
             try:
                 number = float(reward)
             except OverflowError:
                 number = float("inf")
         if number is None:
-            shown = " ".join(repr(reward).split())[:80]
-            raise self.error(row, f"returned the reward {shown}, which is not a number,")
+            raise self._error(row, f"returned the reward {shown(reward)}, which is not a number,")
         if not -MAX_REWARD <= number <= MAX_REWARD:
             allowed = f", which is not within ±{MAX_REWARD:g}," if isfinite(number) else ""
-            raise self.error(row, f"returned the reward {number}{allowed}")
+            raise self._error(row, f"returned the reward {number}{allowed}")
         return number
 
     def _flags(self, row: int, terminated: Any, truncated: Any) -> tuple[bool, bool]:
         """Flags as Python bools."""
         for name, flag in (("terminated", terminated), ("truncated", truncated)):
             if not isinstance(flag, bool | np.bool_):
-                shown = " ".join(repr(flag).split())[:80]
-                raise self.error(row, f"returned {name} = {shown}, which is not a bool,")
+                raise self._error(row, f"returned {name} = {shown(flag)}, which is not a bool,")
         return bool(terminated), bool(truncated)
 
     def _check_info(self, row: int, info: Any) -> None:
         if not isinstance(info, dict):
-            raise self.error(row, f"returned info of type {type(info).__name__}, not dict,")
+            raise self._error(row, f"returned info of type {type(info).__name__}, not dict,")
         if "action_mask" in info and isinstance(self.envs[row].action_space, gym.spaces.Discrete):
-            raise self.error(
+            raise self._error(
                 row, "returned an action mask, but had none at its first reset and first step,"
             )
 
@@ -254,12 +297,16 @@ class Copies:
         array = np.asarray(mask)
         wrong = array.shape != (self._masked,) or array.dtype.kind not in "biuf"
         if wrong or (array.dtype.kind == "f" and not np.isin(array, (0, 1)).all()):
-            raise self.error(
+            raise self._error(
                 row,
                 "must return info['action_mask'] with one value for each of "
-                f"{self._masked} actions, but returned {' '.join(repr(mask).split())[:80]}",
+                f"{self._masked} actions, but returned {shown(mask)}",
             )
         self.signals.mask[row] = array
+
+
+def _view(column: Any) -> memoryview:
+    return memoryview(column)
 
 
 def _without_wrappers(env: gym.Env) -> tuple[Callable[[Any], Any], int]:

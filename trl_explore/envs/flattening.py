@@ -70,8 +70,10 @@ def _writer(space: spaces.Space[Any], name: str) -> Write:
         return _one_hot(int(space.start), int(space.n), name)
     if isinstance(space, spaces.MultiDiscrete):
         return _multi_discrete(space, name)
-    if isinstance(space, spaces.Box | spaces.MultiBinary):
-        return _array(space.shape or (), name)
+    if isinstance(space, spaces.Box):
+        return _array(space.shape, name)
+    if isinstance(space, spaces.MultiBinary):
+        return _multi_binary(space, name)
     if isinstance(space, spaces.Dict):
         return _parts(dict, list(space.spaces), list(space.spaces.values()), name)
     if isinstance(space, spaces.Tuple):
@@ -92,7 +94,7 @@ def _array(shape: tuple[int, ...], name: str) -> Write:
             value = _numbers(value, name)
         if value.shape != shape:
             raise ValueError(f"{name} of shape {value.shape}, but its space has {shape}")
-        row[:] = value if vector else value.reshape(-1)
+        row[...] = value if vector else value.reshape(-1)  # faster than row[:]
 
     return write
 
@@ -104,7 +106,7 @@ def _numbers(value: Any, name: str) -> NDArray[Any]:
     except Exception:  # an object of the environment can raise anything
         array = np.asarray(None)
     if array.dtype.kind not in "biuf" or isinstance(value, np.ma.MaskedArray):
-        raise ValueError(f"{name} = {_shown(value)}, which is not an array of numbers")
+        raise ValueError(f"{name} = {shown(value)}, which is not an array of numbers")
     if array.dtype.kind == "f" and array.dtype.itemsize > 4:
         with np.errstate(over="ignore"):  # what is too large is found as not finite
             return array.astype(np.float32)
@@ -118,7 +120,7 @@ def _index(value: Any, start: int, n: int, name: str) -> int:
         whole = True
     if not whole or not start <= value < start + n:
         raise ValueError(
-            f"{name} = {_shown(value)}, but its space has the integers {start} to {start + n - 1}"
+            f"{name} = {shown(value)}, but its space has the integers {start} to {start + n - 1}"
         )
     return int(value) - start
 
@@ -132,6 +134,17 @@ def _one_hot(start: int, n: int, name: str) -> Write:
     return write
 
 
+def _multi_binary(space: spaces.MultiBinary, name: str) -> Write:
+    write_array = _array(space.shape or (), name)
+
+    def write(value: Any, row: NDArray[np.float32]) -> None:
+        write_array(value, row)
+        if ((row != 0) & (row != 1)).any():
+            raise ValueError(f"{name} = {shown(value)}, but its space has 0 and 1")
+
+    return write
+
+
 def _multi_discrete(space: spaces.MultiDiscrete, name: str) -> Write:
     sizes, starts = space.nvec.reshape(-1), space.start.reshape(-1)
     offsets = np.concatenate([[0], np.cumsum(sizes)[:-1]])
@@ -139,10 +152,10 @@ def _multi_discrete(space: spaces.MultiDiscrete, name: str) -> Write:
     def write(value: Any, row: NDArray[np.float32]) -> None:
         array = _numbers(value, name)
         if array.shape != space.shape or array.dtype.kind not in "iu":
-            raise ValueError(f"{name} = {_shown(value)}, but its space is {space}")
+            raise ValueError(f"{name} = {shown(value)}, but its space is {space}")
         index = array.reshape(-1) - starts
         if (index < 0).any() or (index >= sizes).any():
-            raise ValueError(f"{name} = {_shown(value)}, but its space is {space}")
+            raise ValueError(f"{name} = {shown(value)}, but its space is {space}")
         row[:] = 0
         row[offsets + index] = 1
 
@@ -168,8 +181,8 @@ def _parts(
         given = set(value) if isinstance(value, dict) else set(range(len(value)))
         if given != known:
             raise ValueError(
-                f"{name} with the parts {_shown(sorted(map(str, given)))}, "
-                f"but its space has {_shown(sorted(map(str, known)))}"
+                f"{name} with the parts {shown(sorted(map(str, given)))}, "
+                f"but its space has {shown(sorted(map(str, known)))}"
             )
         for key, write_part, where in parts:
             write_part(value[key], row[where])
@@ -177,8 +190,12 @@ def _parts(
     return write
 
 
-def _shown(value: Any) -> str:
-    text = " ".join(repr(value).split())
+def shown(value: Any) -> str:
+    """A value in a message: one line of at most 80 characters."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # an object of the environment can raise anything
+        text = f"a {type(value).__name__}"
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
@@ -219,10 +236,11 @@ class Actions:
             low, high = space.low.reshape(-1), space.high.reshape(-1)
             self.space = spaces.Box(low, high, dtype=space.dtype)  # pyright: ignore
             shape, dtype = space.shape, space.dtype
+            own: Any = np.ndarray.copy if shape else np.array
 
             def read(actions: NDArray[Any]) -> list[Any]:
-                clipped = np.minimum(np.maximum(actions, low), high)
-                return [np.array(row.reshape(shape), dtype) for row in clipped]
+                clipped = np.minimum(np.maximum(actions, low), high).astype(dtype, copy=False)
+                return [own(action) for action in clipped.reshape(-1, *shape)]
 
             self._read = read
         else:

@@ -7,10 +7,12 @@ interpreter lock (GIL) while it steps.
 from __future__ import annotations
 
 import json
+import mmap
 import os
 import pickle
 import subprocess
 import sys
+import tempfile
 import traceback
 import weakref
 from collections.abc import Sequence
@@ -18,6 +20,7 @@ from contextlib import suppress
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
@@ -32,7 +35,7 @@ BOOT = (
 
 
 class ProcessCopies(Copies):
-    """``Copies`` distributed over this process and others; the signals are the same.
+    """``Copies`` distributed over this process and others, with signals in shared memory.
 
     Copy ``row`` is in process ``row % workers``, where 0 is this process, so that the load stays
     even when some copies have stopped. Each trial has its own random streams, so results do not
@@ -41,19 +44,23 @@ class ProcessCopies(Copies):
     Args:
         id: gymnasium id; its registration is copied to the other processes.
         make: the constructor; it is pickled, and called in the processes.
-        signals: where the copies write.
-        first: the first copy, if it exists already.
+        first: the first copy.
+        shape: the arguments of ``Signals.of``.
         workers: the number of processes, at most n; they are started on first use.
+
+    Attributes:
+        all: the signals of all copies.
     """
 
     def __init__(
-        self, id: str, make: Make, signals: Signals, first: gym.Env | None = None, *, workers: int
+        self, id: str, make: Make, first: gym.Env, shape: tuple[int, int, int], workers: int
     ) -> None:
-        super().__init__(id, make, signals.every(workers), first)
-        self.workers, self.all = workers, signals
-        n = len(signals.reward)
-        sizes = (signals.observation.shape[1], signals.mask.shape[1])
-        self._shares = [(len(range(k, n, workers)), *sizes) for k in range(1, workers)]
+        self._file, size = _memory_file(), Signals.size(*shape)
+        os.ftruncate(self._file, size)
+        weakref.finalize(self, os.close, self._file)
+        self.all = Signals.of(*shape, mmap.mmap(self._file, size))
+        super().__init__(id, make, _share(self.all, 0, workers), first)
+        self.workers, self._shape = workers, shape
         self._processes: list[_Process] = []
 
     def reset(
@@ -65,34 +72,34 @@ class ProcessCopies(Copies):
         stream: Stream,
     ) -> None:
         """``Copies.reset``."""
-        self._call("reset", rows, (trials, episodes), (seed, stream))
+        self._call("reset", rows, (np.asarray(trials), np.asarray(episodes)), (seed, stream))
 
-    def step(self, rows: Sequence[int], actions: Sequence[Any]) -> None:
+    def step(self, rows: Sequence[int], actions: NDArray[Any]) -> bool:
         """``Copies.step``."""
-        self._call("step", rows, (actions,), ())
+        return self._call("step", rows, (actions,), ())
 
     def _call(
         self,
         method: str,
         rows: Sequence[int],
-        each: tuple[Sequence[Any], ...],
+        each: tuple[NDArray[Any], ...],
         same: tuple[Any, ...],
-    ) -> None:
-        """Call a method in every process that has some of the rows, and collect the signals."""
-        n = self.workers
-        parts = [[k for k, row in enumerate(rows) if row % n == part] for part in range(n)]
+    ) -> bool:
+        """Call a method in every process that has some of the rows; whether one returns True."""
+        copies, process = np.divmod(np.asarray(rows), self.workers)
         calls = [
-            ([rows[k] // n for k in part], *([x[k] for k in part] for x in each), *same)
-            for part in parts
+            (copies[own].tolist(), *(x[own] for x in each), *same)
+            for own in (process == k for k in range(self.workers))
         ]
         try:
             self._start()
-            asked = [k for k in range(1, n) if parts[k]]
+            asked = [k for k in range(1, self.workers) if calls[k][0]]
             for k in asked:
                 self._processes[k - 1].send((method, calls[k]))
-            getattr(super(), method)(*calls[0])
+            over = bool(getattr(super(), method)(*calls[0]))
             for k in asked:
-                self.all.put([rows[i] for i in parts[k]], self._processes[k - 1].receive())
+                over |= bool(self._processes[k - 1].receive())
+            return over
         except _FailedError as error:
             self._end()
             raise RuntimeError(
@@ -107,8 +114,9 @@ class ProcessCopies(Copies):
         if self._processes:
             return
         spec = gym.registry.get(self.id)
-        for share in self._shares:
-            self._processes.append(_Process((self.id, spec, self.make, *share)))
+        for k in range(1, self.workers):
+            setup = (self.id, spec, self.make, self._file, self._shape, k, self.workers)
+            self._processes.append(_Process(setup, self._file))
         for process in self._processes:
             process.receive()
 
@@ -121,6 +129,20 @@ class ProcessCopies(Copies):
         """Close every copy and end the processes."""
         super().close()
         self._end()
+
+
+def _memory_file() -> int:
+    """A file without a name, in memory if the system has such files."""
+    if hasattr(os, "memfd_create"):
+        return os.memfd_create("signals")
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())
+
+
+def _share(signals: Signals, k: int, workers: int) -> Signals:
+    """The signals of the copies in process k."""
+    columns: list[Any] = [column[k::workers] for column in signals]
+    return Signals(*columns)
 
 
 class _FailedError(Exception):
@@ -136,12 +158,13 @@ class _Process:
     main process is killed.
     """
 
-    def __init__(self, setup: Any) -> None:
+    def __init__(self, setup: Any, file: int) -> None:
         self.process = subprocess.Popen(
             [sys.executable, "-c", BOOT, json.dumps([str(path) for path in sys.path])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,
+            pass_fds=[file],
         )
         self.end = weakref.finalize(self, _end, self.process)
         try:
@@ -197,14 +220,14 @@ def serve() -> None:
     """Main program of a worker process: requests on standard input, answers on standard output."""
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # an environment's output must not mix with the answers
-    share = None
+    copies = None
     while True:
         try:
             request = pickle.load(requests)
-            if share is None:
-                share, answer = _Share(*request), None
+            if copies is None:
+                copies, answer = _copies(*request), None
             else:
-                answer = share.answer(*request)
+                answer = getattr(copies, request[0])(*request[1])
             reply = None, answer
         except EOFError:
             break
@@ -218,22 +241,21 @@ def serve() -> None:
             answers.flush()
         except BrokenPipeError:
             os._exit(0)  # the main process is gone: nothing left to answer or flush
-    if share is not None:
-        share.copies.close()
+    if copies is not None:
+        copies.close()
 
 
-class _Share:
+def _copies(
+    id: str,
+    spec: EnvSpec | None,
+    make: Make,
+    file: int,
+    shape: tuple[int, int, int],
+    k: int,
+    workers: int,
+) -> Copies:
     """The copies in this worker process."""
-
-    def __init__(
-        self, id: str, spec: EnvSpec | None, make: Make, n: int, n_features: int, masked: int
-    ) -> None:
-        if spec is not None:
-            gym.registry.setdefault(spec.id, spec)
-        self.signals = Signals.of(n, n_features, masked)
-        self.copies = Copies(id, make, self.signals)
-
-    def answer(self, method: str, call: tuple[Any, ...]) -> tuple[NDArray[Any], ...]:
-        """Call a method on some copies; returns their signals."""
-        getattr(self.copies, method)(*call)
-        return self.signals.rows(call[0])
+    if spec is not None:
+        gym.registry.setdefault(spec.id, spec)
+    memory = mmap.mmap(file, Signals.size(*shape))
+    return Copies(id, make, _share(Signals.of(*shape, memory), k, workers))

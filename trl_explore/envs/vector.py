@@ -46,17 +46,8 @@ class LaneVectorEnv(VectorEnv):
     action is taken there.
 
     Args:
-        id: gymnasium id.
-        num_envs: number of lanes.
-        max_steps: time limit of an episode in steps; None means gymnasium's registered limit.
-        seed: seed of the job.
-        first_trial: trial index of lane 0.
-        kwargs: arguments of the environment's constructor.
-        attributes: see ``make_gym``.
-        wrappers: see ``make_gym``.
-        stream: the random stream of each trial that the environment uses.
-        workers: number of processes that step the lanes, including this one; None: one per
-            processor, with at least ``MIN_LANES`` lanes each. Results do not depend on it.
+        num_envs: number of lanes; the other arguments are those of ``make_env``.
+        workers: None: one per processor, with at least ``MIN_LANES`` lanes each.
 
     Raises:
         ValueError: if an argument is invalid; later, if an observation, a reward or an action is
@@ -110,26 +101,24 @@ class LaneVectorEnv(VectorEnv):
         n_features = self.single_observation_space.shape[0]
         self.has_masks, masked = False, 0
         if isinstance(env.action_space, Discrete):
-            self.has_masks = _has_masks(id, make, self.actions, n_features, first_trial)
+            self.has_masks = _has_masks(id, make, n_features, first_trial)
             masked = int(env.action_space.n) if self.has_masks else 0
-        self.signals = Signals.of(num_envs, n_features, masked)
-        self._flat = self.signals.observation.reshape(-1)
-        self._running = np.zeros(num_envs, dtype=np.bool_)
-        self._continuous = isinstance(self.single_action_space, Box)
+        shape = (num_envs, n_features, masked)
         if self.workers == 1:
+            self.signals = Signals.of(*shape)
             self._copies = Copies(id, make, self.signals, env)
         else:
-            self._copies = ProcessCopies(id, make, self.signals, env, workers=self.workers)
+            self._copies = ProcessCopies(id, make, env, shape, self.workers)
+            self.signals = self._copies.all
+        self._flat = self.signals.observation.reshape(-1)
+        self.running = np.zeros(num_envs, dtype=np.bool_)
+        """Whether a lane's episode is unfinished [num_envs]."""
+        self._continuous = isinstance(self.single_action_space, Box)
 
     @property
     def envs(self) -> list[gym.Env]:
         """The copies built in this process; there is always at least one."""
         return self._copies.envs
-
-    @property
-    def running(self) -> NDArray[np.bool_]:
-        """Whether a lane's episode is unfinished [num_envs]."""
-        return self._running
 
     def reseed(self, seed: int) -> None:
         """Restart every lane at episode 0 of its trial with ``seed``."""
@@ -156,7 +145,7 @@ class LaneVectorEnv(VectorEnv):
         """Step the unfinished lanes; a finished one repeats its last observation with reward 0."""
         signals = self.signals
         signals.reward[:] = 0
-        lanes = np.flatnonzero(self._running)
+        lanes = np.flatnonzero(self.running)
         self.advance(lanes, np.asarray(actions)[lanes])
         self.check()
         return (
@@ -185,7 +174,7 @@ class LaneVectorEnv(VectorEnv):
             self.stream,
         )
         self.episodes[lanes] += 1
-        self._running[lanes] = True
+        self.running[lanes] = True
 
     def advance(self, lanes: NDArray[np.int64], actions: NDArray[Any]) -> None:
         """Step some unfinished lanes with their actions [m] or [m, n_dims]; fills ``signals``.
@@ -198,9 +187,9 @@ class LaneVectorEnv(VectorEnv):
         if self._continuous and not np.isfinite(actions).all():
             k = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
             raise self._error(lanes[k], f"got the non-finite action {actions[k].tolist()}")
-        self._copies.step(lanes.tolist(), self.actions.read(actions))
-        signals = self.signals
-        self._running[lanes] = ~(signals.terminated[lanes] | signals.truncated[lanes])
+        if self._copies.step(lanes.tolist(), actions):
+            signals = self.signals
+            self.running[lanes] = ~(signals.terminated[lanes] | signals.truncated[lanes])
 
     def _info(self) -> dict[str, Any]:
         return {"action_mask": self.signals.mask.copy()} if self.has_masks else {}
@@ -219,7 +208,7 @@ class LaneVectorEnv(VectorEnv):
                 lane, i = (int(k[0]) for k in np.nonzero(~finite))
                 raise self._error(lane, f"returned observation[{i}] = {observation[lane, i]}")
         if self.has_masks and not (some := self.signals.mask.any(axis=1)).all():
-            stuck = np.flatnonzero(~some & self._running)
+            stuck = np.flatnonzero(~some & self.running)
             if len(stuck):
                 raise self._error(
                     int(stuck[0]), "returned an action mask that forbids every action"
@@ -228,7 +217,7 @@ class LaneVectorEnv(VectorEnv):
 
     def _error(self, lane: int, what: str) -> EnvError:
         trial, episode = self.first_trial + int(lane), int(self.episodes[lane]) - 1
-        return EnvError(f"environment {self.id!r} {what} in episode {episode} of trial {trial}")
+        return EnvError.placed(self.id, what, trial, episode)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close every lane."""
@@ -249,17 +238,10 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-def _has_masks(id: str, make: Make, actions: Actions, n_features: int, trial: int) -> bool:
+def _has_masks(id: str, make: Make, n_features: int, trial: int) -> bool:
     """Whether an environment returns ``info["action_mask"]`` at its first reset or step.
 
-    A separate copy is played, so that all lanes start from the same state.
-
-    Args:
-        id: gymnasium id.
-        make: the constructor.
-        actions: the actions of the environment.
-        n_features: the length of an observation.
-        trial: the trial whose first episode is played.
+    A separate copy plays the first episode of the trial, so that all lanes start from one state.
 
     Raises:
         EnvError: if the reset fails, or returns what it must not.
@@ -269,7 +251,7 @@ def _has_masks(id: str, make: Make, actions: Actions, n_features: int, trial: in
         probe.reset([0], [trial], [0], 0, Stream.ENVIRONMENT)
         if not probe.masks:
             with suppress(EnvError):  # training meets the same error, and reports it
-                probe.step([0], actions.read(np.zeros(1, np.int64)))
+                probe.step([0], np.zeros(1, np.int64))
         return probe.masks
     finally:
         probe.close()

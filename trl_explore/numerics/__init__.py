@@ -39,7 +39,8 @@ per frame. With all parts, collecting takes 21.5, the loss with its gradient 10.
 * ``columns`` (a loop instead): the loss about 12, which is 8 to 14 % more. The bits are the same.
 * The blocks of eight frames in ``run_returns`` (a loop over frames instead): the loss about 13.
   The steps of eight in ``end_of_run`` and ``end_of_episode``: about 12.
-* ``borrow``: no gain here (20.0 and 10.6 without it). It stays until it is measured for networks.
+* ``borrow``: no gain here, but collecting takes 7 % more without it for a network with hidden
+  layers of 64 and 64, and 8 % more for a table of 500 states.
 * ``cos32``, ``sin32``: no gain in speed. They give Acrobot's kernel the same bits as gymnasium;
   test: ``tests/envs/kernels/test_transitions.py``.
 """

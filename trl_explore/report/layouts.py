@@ -159,5 +159,6 @@ def size_sentence(configurations: Sequence[Outcomes]) -> str:
     for title, panel in lines_by_size(configurations).items():
         last = {name: line[largest] for name, line in panel.items() if largest in line}
         shares = [f"{strategy_label(n)} {c.converged.sum()} of {len(c)}" for n, c in last.items()]
-        texts.append(f"{title}: " * bool(title) + ", ".join(shares))
+        if shares:
+            texts.append(f"{title}: " * bool(title) + ", ".join(shares))
     return f"Passed at size {largest:g}: {'; '.join(texts)}."

@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from trl_explore.envs import tasks
+from trl_explore.envs import NAMESPACE, TASKS
 from trl_explore.envs.kernels import CompiledEnv, check_kernel, kernel_of
 from trl_explore.envs.kernels.catch import Catch
 from trl_explore.envs.kernels.deep_sea import DeepSea
@@ -248,7 +248,7 @@ def test_arguments_out_of_range_are_refused(make, words):
 
 
 def test_every_task_is_registered():
-    for name, (place, steps, threshold) in tasks.TASKS.items():
-        spec = gym.spec(f"{tasks.NAMESPACE}/{name}")
+    for name, (place, steps, threshold) in TASKS.items():
+        spec = gym.spec(f"{NAMESPACE}/{name}")
         assert (spec.max_episode_steps, spec.reward_threshold) == (steps, threshold)
         assert type(gym.make(spec.id).unwrapped).__name__ == place.split(":")[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, cast
 
 import gymnasium as gym
@@ -18,7 +17,7 @@ from gymnasium.wrappers import (
 from numpy.typing import NDArray
 from tensordict.nn import TensorDictSequential
 from torch import nn
-from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
+from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
@@ -26,12 +25,14 @@ from trl_explore.collectors.columns import Columns
 from trl_explore.collectors.compiling import (
     NotCompilableError,
     check_mixture,
+    check_transforms,
     check_weights,
     has_mask,
     mixture_array,
+    names,
 )
 from trl_explore.collectors.fused.loop import compile_loop
-from trl_explore.collectors.fused.scratch import scratch
+from trl_explore.collectors.fused.memory import scratch
 from trl_explore.collectors.networks import Network, arrays, network_of
 from trl_explore.envs import lane_env
 from trl_explore.envs.kernels import Kernel, kernel_of
@@ -40,7 +41,6 @@ from trl_explore.policies.policy import is_one_hot
 from trl_explore.strategies import MixtureStrategy
 
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
-TRANSFORMS = (StepCounter, RewardSum)
 
 GREEDY = np.array([[1.0], [0.0], [0.0], [1.0]])
 """The mixture without exploration; the loop does not read it then."""
@@ -62,15 +62,8 @@ class FusedCollector(EpisodeCollector):
 
     parallel = True
 
-    def __init__(
-        self,
-        env: TransformedEnv,
-        policy: TensorDictSequential,
-        *,
-        exploration_type: ExplorationType | None = None,
-        **options: Any,
-    ) -> None:
-        super().__init__(env, policy, exploration_type=exploration_type, **options)
+    def __init__(self, env: TransformedEnv, policy: TensorDictSequential, **options: Any) -> None:
+        super().__init__(env, policy, **options)
         self.kernel, self.network, self._parameters = compilable(env, policy)
         if self.episodes_per_update > 1 and self.strategy.per_episode:
             name = type(self.strategy).__name__
@@ -127,11 +120,10 @@ class FusedCollector(EpisodeCollector):
         )  # fmt: skip
         return score, length
 
-    def shutdown(
-        self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True
-    ) -> None:
-        """Close the environment and free the memory for frames."""
-        super().shutdown(timeout, close_env, raise_on_error)
+    def _check_resumable(self) -> None:
+        """A kernel keeps nothing from one episode to the next."""
+
+    def _free(self) -> None:
         self._columns = Columns(0)
 
     def _context(self) -> tuple[Any, ...]:
@@ -164,14 +156,10 @@ def compilable(
         if type(lane) not in WRAPPERS:
             raise NotCompilableError(f"it does not support the wrapper {type(lane).__name__}")
         lane = lane.env
-    for transform in cast(Iterable[Transform], env.transform or ()):
-        if type(transform) not in TRANSFORMS:
-            raise NotCompilableError(
-                f"it does not support the transform {type(transform).__name__}"
-            )
+    check_transforms(env)
     served = network_of(policy[0], one_hot=is_one_hot(env)) if len(policy) == 2 else None
     if served is None:
-        raise NotCompilableError(f"it does not support the policy {_names(policy)}")
+        raise NotCompilableError(f"it does not support the policy {names(policy)}")
     check_mixture(policy[1])
     try:
         kernel = kernel_of(lane)
@@ -181,11 +169,6 @@ def compilable(
         raise NotCompilableError(f"the kernel of {type(lane).__name__} has no action mask")
     check_sizes(env, kernel, *served)
     return kernel, *served
-
-
-def _names(policy: TensorDictSequential) -> str:
-    """The class names of the modules before the strategy."""
-    return ", ".join(type(module).__name__ for module in policy.module[:-1])
 
 
 def check_sizes(

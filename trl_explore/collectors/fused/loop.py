@@ -23,9 +23,8 @@ import numba as nb
 import numpy as np
 
 from trl_explore.collectors import mixing, networks
-from trl_explore.collectors.fused import lanes as lanes_module
-from trl_explore.collectors.fused import scratch as scratch_module
-from trl_explore.collectors.fused.lanes import (  # fmt: skip
+from trl_explore.collectors.fused import memory as memory_module
+from trl_explore.collectors.fused.memory import (
     ACTION,
     END,
     FRAME,
@@ -34,16 +33,14 @@ from trl_explore.collectors.fused.lanes import (  # fmt: skip
     SLOT,
     WEIGHT_SLOT,
     Lanes,
-    clear,
-    draw_noise,
-    part,
-    retire,
-)
-from trl_explore.collectors.fused.scratch import (
     Scratch,
+    clear,
     compile_deliver,
+    draw_noise,
     is_narrow,
     only_row_of,
+    part,
+    retire,
     row_of,
 )
 from trl_explore.collectors.mixing import compile_mixing, load_point
@@ -54,10 +51,7 @@ from trl_explore.numerics.compiled.arrays import borrow, lane, on_stack
 from trl_explore.numerics.compiled.cache import compiled, kernel_function
 from trl_explore.numerics.compiled.philox import STATE_SIZE, begin
 
-INLINED = (
-    *(lanes_module, scratch_module, mixing, networks),
-    *(arrays, elementary, layers, philox),
-)
+INLINED = (memory_module, mixing, networks, arrays, elementary, layers, philox)
 """The modules compiled into the loop, besides this one and the kernel's."""
 
 
@@ -77,7 +71,7 @@ def compile_loop(
         weights            from ``networks.arrays``
         mixture            [4, 1 or *] float64: greedy, softmax, uniform, temperature
         explore            whether to draw actions; if not, the first action of largest logit
-        memory             from ``scratch.scratch``
+        memory             from ``memory.scratch``
         columns            ``columns.Columns.arrays``
 
     It runs the episodes from index ``done`` on, writes their frames from frame ``place`` on, and

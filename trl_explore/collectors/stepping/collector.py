@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, cast
 
 import numpy as np
@@ -11,18 +10,19 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import nn
-from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
+from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
 from trl_explore.collectors.columns import Columns, grown
 from trl_explore.collectors.compiling import (
     NotCompilableError,
-    check_gaussian,
     check_mixture,
+    check_transforms,
     check_weights,
     has_mask,
     mixture_array,
+    names,
 )
 from trl_explore.collectors.networks import Network, arrays, gaussian_of, network_of
 from trl_explore.collectors.stepping.acting import Form
@@ -42,7 +42,6 @@ from trl_explore.strategies import ContinuousMixtureStrategy, MixtureStrategy
 
 FIRST_FRAMES = 64
 """The number of frames per episode to allocate at first."""
-TRANSFORMS = (StepCounter, RewardSum)
 
 
 class SteppingCollector(EpisodeCollector):
@@ -61,18 +60,9 @@ class SteppingCollector(EpisodeCollector):
             a module reads an entry that only TorchRL's own stepping writes.
     """
 
-    def __init__(
-        self,
-        env: TransformedEnv,
-        policy: TensorDictSequential,
-        *,
-        exploration_type: ExplorationType | None = None,
-        **options: Any,
-    ) -> None:
-        super().__init__(env, policy, exploration_type=exploration_type, **options)
-        for transform in cast(Iterable[Transform], env.transform or ()):
-            if type(transform) not in TRANSFORMS:
-                raise NotCompilableError(f"the transform {type(transform).__name__}")
+    def __init__(self, env: TransformedEnv, policy: TensorDictSequential, **options: Any) -> None:
+        super().__init__(env, policy, **options)
+        check_transforms(env)
         self._continuous = self.strategy.actions == "continuous"
         network, self._parameters, self.why_modules = None, [], None
         try:
@@ -103,16 +93,14 @@ class SteppingCollector(EpisodeCollector):
             NotCompilableError: with the reason, if they are not.
         """
         policy = cast(TensorDictModuleBase, self.policy[0])
+        check_mixture(self.strategy, continuous=self._continuous)
         if self._continuous:
-            check_gaussian(self.strategy)
             served, n_out = gaussian_of(policy), n_dims(self.env)
         else:
-            check_mixture(self.strategy)
             served = network_of(policy, one_hot=is_one_hot(self.env))
             n_out = n_actions(self.env)
         if served is None or len(self.policy) != 2:
-            names = (type(module).__name__ for module in self.policy.module[:-1])
-            raise NotCompilableError(f"the policy {', '.join(names)}")
+            raise NotCompilableError(f"the policy {names(self.policy)}")
         n_in = self.lanes.signals.observation.shape[1]
         check_weights(*served, self.trials, n_in, n_out)
         return served
@@ -216,9 +204,5 @@ class SteppingCollector(EpisodeCollector):
             self._log = grown(self._kinds, frames, self._log, keep)
             self._capacity = frames
 
-    def shutdown(
-        self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True
-    ) -> None:
-        """Close the environment and free the memory for frames."""
-        super().shutdown(timeout, close_env, raise_on_error)
+    def _free(self) -> None:
         self._columns, self._log, self._capacity = Columns(0), (), 0

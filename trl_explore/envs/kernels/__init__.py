@@ -38,7 +38,6 @@ from trl_explore.envs.kernels import (
     mountain_car,
     swing_up,
     tables,
-    toy_text,
 )
 from trl_explore.envs.kernels.kernel import (
     CompiledEnv,
@@ -47,7 +46,7 @@ from trl_explore.envs.kernels.kernel import (
     kernel_of,
     register_kernel,
 )
-from trl_explore.envs.kernels.toy_text import tabular
+from trl_explore.envs.kernels.tables import tabular
 from trl_explore.numerics.compiled.cache import kernel_function
 from trl_explore.numerics.compiled.philox import random
 
@@ -67,5 +66,4 @@ __all__ = [
     "swing_up",
     "tables",
     "tabular",
-    "toy_text",
 ]

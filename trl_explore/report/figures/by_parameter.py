@@ -13,7 +13,7 @@ from trl_explore.names import strategy_label
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures.axes import Kind, handle, legend_above, new_figure, plain_numbers
 from trl_explore.report.figures.panels import fill_panels
-from trl_explore.report.layouts import Lines, lines_by_size, size_sentence
+from trl_explore.report.layouts import Lines, lines_by_size, size_of, size_sentence
 from trl_explore.report.style import INK, Style, styles
 
 MARKS = 6
@@ -89,7 +89,7 @@ OVER = 1.25
 def _draw_panel(ax: Axes, title: str, panel: Lines, e: GroupEvidence) -> None:
     """The medians of every strategy; those over the cap in rows above it."""
     cap, looks = e.group.cap, dict(zip(panel, styles(list(panel)), strict=True))
-    ticks = sorted({size for line in panel.values() for size in line})
+    ticks = sorted(map(size_of, e.group.configurations))  # of all panels, which share their axes
     for k, (strategy, line) in enumerate(panel.items()):
         style, sizes = looks[strategy], np.array(list(line))
         estimates = [e.summary(c.name).median for c in line.values()]
