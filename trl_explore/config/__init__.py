@@ -18,6 +18,7 @@ from trl_explore.config.sweeping import (
     is_multirun,
     is_repeated,
     is_worker,
+    place_in_sweep,
     save_hydra,
 )
 
@@ -43,6 +44,7 @@ __all__ = [
     "is_repeated",
     "is_worker",
     "job_name",
+    "place_in_sweep",
     "register_resolvers",
     "resolved",
     "save_hydra",
