@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from trl_explore.collectors import auto_collector
+    from trl_explore.config.composing import train
     from trl_explore.envs import make_env
     from trl_explore.jobs.frame import read_frame
     from trl_explore.objectives import ReinforceLoss
@@ -37,6 +38,7 @@ __all__ = [
     "auto_collector",
     "make_env",
     "read_frame",
+    "train",
 ]
 
 _PLACES = {
@@ -46,6 +48,7 @@ _PLACES = {
     "auto_collector": "collectors",
     "make_env": "envs",
     "read_frame": "jobs.frame",
+    "train": "config.composing",
 }
 """The module of each name that is not a strategy."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from trl_explore.commands import logs
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.console import printable, tell
 from trl_explore.report.build import build_report
@@ -18,10 +19,14 @@ def main() -> int:
     )
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="job or sweep folder")
     parser.add_argument("--out", type=Path, help="folder of the report (default: first DIR/report)")
+    logs.add_arguments(parser)
     arguments = parser.parse_args()
     out = arguments.out or arguments.folders[0] / "report"
     try:
-        page, gaps = build_report(arguments.folders, out)
+        if arguments.source:
+            page, gaps = logs.report(arguments, out), []
+        else:
+            page, gaps = build_report(arguments.folders, out)
     except ResultsError as error:
         tell(error)
         return 1
@@ -30,5 +35,6 @@ def main() -> int:
         return 1
     for gap in gaps:
         tell(f"left out {gap.what}: {gap.why}", "warning")
-    print(printable(str(page)))
+    if page:
+        print(printable(str(page)))
     return 0

@@ -175,6 +175,7 @@ def train_from(
                     folder,
                     trials,
                     shards.weights(),
+                    kept=shards.kept_weights(),
                     config=values,
                     experiment=choices.get("experiment") or "train",
                     strategy=str(choices["strategy"]),

@@ -111,6 +111,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.record import Trials
+    from trl_explore.training.snapshots import Snapshots
     from trl_explore.training.trainer import Trainer
     from trl_explore.training.visits import Visits
 
@@ -156,8 +157,13 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
         visits = Visits(env, size)
         diagnostics = Diagnostics(actor, strategy, size, policy.parameters(), visits)
     evaluator = _evaluator(config, policy, strategy, env, size, streams)
-    intrinsic = _build(None, lambda: _intrinsic(config, env, policy, size, streams))
-    parts = {"evaluator": evaluator, "diagnostics": diagnostics, "intrinsic": intrinsic}
+    kept, cap = config.keep_weights, config.max_iterations
+    parts = {
+        "evaluator": evaluator,
+        "diagnostics": diagnostics,
+        "intrinsic": _build(None, lambda: _intrinsic(config, env, policy, size, streams)),
+        "snapshots": _build(None, lambda: Snapshots(policy, kept, cap)) if kept else None,
+    }
     return _build(None, lambda: Trainer(collector, loss, optimizer, trials, **parts))
 
 

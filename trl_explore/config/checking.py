@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, MissingConfigException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from trl_explore.checks import LARGEST, MAX_THREADS, check_integer, check_number, first_line
@@ -128,6 +128,11 @@ def check_values(config: DictConfig) -> None:
     if config.evaluate_policy not in POLICIES:
         raise ConfigError(
             f"evaluate_policy must be one of {', '.join(POLICIES)}, got {config.evaluate_policy!r}"
+        )
+    if not isinstance(config.keep_weights, ListConfig):
+        raise ConfigError(
+            "keep_weights must be a list of iterations, such as [0,10,50], "
+            f"got {config.keep_weights!r}"
         )
     if config.stop_on == "evaluation":
         raise ConfigError("stop_on=evaluation is now stop_on=learned")

@@ -22,8 +22,8 @@ SCHEDULE = "schedule@"
 """Prefix of a choice that gives a parameter a schedule from ``conf/schedule``:
 ``+schedule@strategy.temperature=linear``."""
 INERT = (
-    "output_dir", "restart", "threads", "episodes", "env.workers",
-    "checkpoint_seconds", "debug",
+    "output_dir", "restart", "threads", "episodes", "env.workers", "checkpoint_seconds", "debug",
+    "keep_weights",
 )  # fmt: skip
 """Keys that do not change results; they are not part of a job's name or identity."""
 STRATEGY = "strategy@"

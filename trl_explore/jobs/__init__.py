@@ -6,6 +6,7 @@
     evaluations.csv         one row per episode of the policy without its strategy, if evaluated
     scalars/*.csv           learning curves averaged over the trials (TorchRL's CSVLogger)
     weights.safetensors     the final policy of every trial
+    kept_weights.safetensors    its weights along the way (keep_weights=[0,10,50])
     run.json                configuration, versions, seed, wall time; written last
 
 In the folder of a sweep:

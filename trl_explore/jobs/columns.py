@@ -21,7 +21,7 @@ from trl_explore.statistics.outcomes import STATUSES
 
 TRIALS, EPISODES, SCALARS = "trials.csv", "episodes.csv", "scalars"
 EVALUATIONS, TIMINGS = "evaluations.csv", "timings.csv"
-WEIGHTS, VISITS = "weights.safetensors", "visits.safetensors"
+WEIGHTS, KEPT, VISITS = "weights.safetensors", "kept_weights.safetensors", "visits.safetensors"
 PACKAGES = ("trl_explore", "torch", "torchrl", "tensordict", "gymnasium", "numpy", "numba")
 
 

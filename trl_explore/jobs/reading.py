@@ -19,6 +19,7 @@ from trl_explore.jobs.columns import (
     CURVE_COLUMNS,
     EPISODE_COLUMNS,
     EPISODES,
+    KEPT,
     LEARN_COLUMNS,
     PASS_COLUMNS,
     SCALARS,
@@ -159,8 +160,12 @@ def read_episodes(job: Path) -> pd.DataFrame:
     return frame
 
 
-def read_weights(job: Path) -> dict[str, NDArray[Any]]:
+def read_weights(job: Path, *, kept: bool = False) -> dict[str, NDArray[Any]]:
     """The weights of the final policy: name -> array [trials, ...].
+
+    Args:
+        job: the folder of the job.
+        kept: the weights along the way instead, by "iteration/name"; empty if none were kept.
 
     Raises:
         ResultsError: if the file is missing or damaged.
@@ -168,13 +173,17 @@ def read_weights(job: Path) -> dict[str, NDArray[Any]]:
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
-    check_files(job, names=[WEIGHTS])
+    name = KEPT if kept else WEIGHTS
+    path = job / name
+    check_files(job, names=[name])
     try:
-        return load(read_file(job / WEIGHTS))
+        return load(read_file(path))
     except FileNotFoundError:
-        raise ResultsError(f"{job / WEIGHTS}: missing") from None
+        if kept:
+            return {}
+        raise ResultsError(f"{path}: missing") from None
     except (SafetensorError, OSError) as error:
-        raise ResultsError(f"{job / WEIGHTS}: not readable as weights ({error})") from None
+        raise ResultsError(f"{path}: not readable as weights ({error})") from None
 
 
 def read_timings(sweep: Path) -> pd.DataFrame | None:

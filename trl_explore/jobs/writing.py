@@ -21,6 +21,7 @@ from trl_explore.jobs.columns import (
     EPISODES,
     EVALUATION_COLUMNS,
     EVALUATIONS,
+    KEPT,
     LEARN_COLUMNS,
     PACKAGES,
     PASS_COLUMNS,
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
 
 def clear(job: Path) -> None:
     """Remove the results of a job, finished or unfinished, from its folder; ``run.json`` first."""
-    for name in (RUN, TRIALS, EPISODES, EVALUATIONS, WEIGHTS, VISITS):
+    for name in (RUN, TRIALS, EPISODES, EVALUATIONS, WEIGHTS, KEPT, VISITS):
         (job / name).unlink(missing_ok=True)
     for temporary in job.glob(".*.tmp"):
         if temporary.is_dir():
@@ -74,6 +75,7 @@ def write_job(
     collector: str,
     seconds: float,
     episodes: bool = True,
+    kept: Mapping[str, NDArray[Any]] | None = None,
     evaluations: Mapping[str, NDArray[Any]] | None = None,
     learned: Mapping[str, NDArray[Any]] | None = None,
     diagnostics: Mapping[str, NDArray[Any]] | None = None,
@@ -91,12 +93,14 @@ def write_job(
         collector: name of the collector that was used.
         seconds: wall time of the training, without compilation.
         episodes: whether to write ``episodes.csv``.
+        kept: the arrays of ``kept_weights.safetensors``; None: do not write it.
         evaluations: the columns of ``evaluations.csv``; None: do not write it.
         learned: the columns ``LEARN_COLUMNS`` of ``trials.csv``; None: do not write them.
         diagnostics: further columns of ``episodes.csv``, one entry per iteration and active trial.
         visits: the arrays of ``visits.safetensors``; None: do not write it.
     """
     import torch
+    from safetensors.numpy import save
 
     _write_text(job / TRIALS, _trials_csv(trials, config, learned or {}))
     if episodes:
@@ -107,11 +111,10 @@ def write_job(
         _write_text(job / EVALUATIONS, table_text(EVALUATION_COLUMNS | PURPOSE_COLUMNS, values))
     _write_scalars(job, trials)
     _write_weights(job / WEIGHTS, weights)
-    if visits is not None:
-        from safetensors.numpy import save
-
-        write_whole(job / VISITS, save({name: a.copy() for name, a in visits.items()}))
-    paths = [job / name for name in (TRIALS, EPISODES, EVALUATIONS, WEIGHTS, VISITS)]
+    for name, arrays in ((KEPT, kept), (VISITS, visits)):
+        if arrays is not None:
+            write_whole(job / name, save({key: a.copy() for key, a in arrays.items()}))
+    paths = [job / name for name in (TRIALS, EPISODES, EVALUATIONS, WEIGHTS, KEPT, VISITS)]
     run = {
         "status": "finished",
         "experiment": experiment,
