@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from trl_explore.commands import status
 from trl_explore.jobs import sweeps
 from trl_explore.jobs.checkpoint import Store, pack
 from trl_explore.jobs.columns import ResultsError
@@ -71,15 +72,53 @@ def test_the_text(sweep):
         lines = report(survey([sweep])[0]).splitlines()
     assert lines[0] == f"{sweep}: 1 of 7 done, 1 running, 2 failed, 3 left (1 of them cut off)"
     assert [line.split() for line in lines[1:]] == [
-        ["job", "state", "iterations", "seconds"],
-        ["cut", "cut", "off", "450", "of", "1,000", "4.5"],
-        ["done", "done", "1,000", "2.5"],
-        ["f1", "failed", "50", "of", "1,000", "0.5", "the", "disk", "is", "full"],
-        ["f2", "failed", "–", "–", *REASON.split()],
-        ["l1", "left", "–", "–"],
-        ["l2", "left", "–", "–"],
-        ["running", "running", "300", "of", "1,000", "3.0"],
+        ["job", "state", "iterations", "passed", "learned", "seconds"],
+        ["cut", "cut", "off", "450", "of", "1,000", "–", "–", "4.5"],
+        ["done", "done", "1,000", "–", "–", "2.5"],
+        ["f1", "failed", "50", "of", "1,000", "–", "–", "0.5", "the", "disk", "is", "full"],
+        ["f2", "failed", "–", "–", "–", "–", *REASON.split()],
+        ["l1", "left", "–", "–", "–", "–"],
+        ["l2", "left", "–", "–", "–", "–"],
+        ["running", "running", "300", "of", "1,000", "–", "–", "3.0"],
     ]
+
+
+def test_what_a_finished_job_has_passed_and_learned(sweep):
+    header = "trial,passed,iterations_to_pass,frames_to_pass,learned,iterations_to_learn"
+    lines = [f"{header},frames_to_learn,learned_score", "0,True,1,9,False,5,99,2.5"]
+    lines += ["1,True,2,9,True,5,99,9.5", "2,False,5,99,False,5,99,2.5"]
+    (sweep / "done" / "trials.csv").write_text("\n".join(lines) + "\n")
+    (line,) = [x for x in report(survey([sweep])[0]).splitlines() if x.split()[0] == "done"]
+    assert line.split() == ["done", "done", "1,000", "2", "of", "3", "1", "of", "3", "2.5"]
+    (sweep / "done" / "trials.csv").write_text("\n".join([header, lines[1]]) + "\n")
+    assert "–" in report(survey([sweep])[0]).splitlines()[3]
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_watching_until_no_job_is_running(sweep, monkeypatch, capsys, terminal):
+    """The running job ends while it is watched; on a terminal, lines are cut to its width."""
+    lock = Lock(sweep / "running").__enter__()
+    looks = []
+
+    def wait(seconds):
+        looks.append(seconds)
+        if len(looks) == 2:
+            lock.release()
+        assert len(looks) < 9
+
+    monkeypatch.setattr(status, "get_terminal_size", lambda: (40, 6))
+    monkeypatch.setattr(status.time, "sleep", wait)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal, raising=False)
+    status.watch([sweep])
+    shown = capsys.readouterr().out
+    assert len(looks) == 2
+    if terminal:
+        screens = shown.split("\033[H\033[J")[1:]
+        assert len(screens) == 3
+        assert all(len(line) <= 40 for screen in screens for line in screen.splitlines())
+        assert all(len(screen.splitlines()) == 5 for screen in screens)
+    else:
+        assert [", 1 running" in line for line in shown.splitlines()] == [True, False]
 
 
 def test_many_finished_jobs_are_only_counted(tmp_path):

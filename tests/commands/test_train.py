@@ -425,6 +425,16 @@ WRONG = {
     "env.max_steps=0": "max_steps ... >= 1 ... 0",
     "env.max_steps=nan": "max_steps ... >= 1 ... nan",
     "foo=1": "'foo'",
+    "lr=0.1": "unknown key 'lr'; did you mean optimizer.lr?",
+    "+lr=0.1": "unknown key 'lr'; did you mean optimizer.lr?",
+    "strategy=epsilon_greedy epsilon=0.1": "'epsilon'; did you mean strategy.epsilon?",
+    "strategy=epsilon_greedy strategy.epsilom=1": "'strategy.epsilom'; did you mean strategy.ep",
+    "env=torchrl": "env.target must be set, e.g. env.target=…",
+    "env=gym env.id=": "env.id must be the name of an environment, e.g. ... got ''",
+    "seed=1,2": "seed=1,2 gives several values: add -m ... 'seed=[1,2]'",
+    "-cn nope": "there is no configuration 'nope'; without --config-name it is 'train'",
+    "=3": "'=3'; arguments have the form key=value",
+    "'seed=3": "arguments have the form key=value",
     "+foo=1": "'foo'",
     "++foo=1": "'foo'",
     "strategy.foo=1": "'strategy.foo'",
@@ -464,7 +474,7 @@ def test_wrong_input_is_one_line(refused, text):
     process = ran[text]
     assert process.returncode not in (0, None)
     assert "Traceback" not in process.stderr + process.stdout
-    if text.startswith("-m"):
+    if text.startswith("-m "):
         return
     (line,) = complaints(process)
     assert line.startswith("error: ")

@@ -250,7 +250,15 @@ def test_different_values_never_share_a_name():
 
 @pytest.mark.parametrize(
     "override",
-    ["output_dir=elsewhere", "restart=true", "threads=2", "episodes=false", "debug=true"],
+    [
+        "output_dir=elsewhere",
+        "restart=true",
+        "threads=2",
+        "episodes=false",
+        "debug=true",
+        "checkpoint_seconds=9",
+        "env.workers=2",
+    ],
 )
 def test_what_changes_no_result_is_not_in_the_name(override):
     assert override.split("=")[0] in INERT
@@ -507,8 +515,9 @@ WRONG = [
         ("env.id=CliffWalking-v1", "env.max_steps=null"),
         "CliffWalking-v1 ... max_steps",
     ),
-    (("env.id=3",), "env: ... 3"),
-    (("env.id=null",), "env: ... None"),
+    (("env.id=3",), "env.id must be the name of an environment, e.g. env.id=Acrobot-v1, got 3"),
+    (("env.id=null",), "env.id must be the name ... got None"),
+    (("env=gym", "env.id="), "env.id must be the name ... got ''"),
     (("env.kwargs=3",), "env: "),
     (("+env.kwargs.nonsense=1",), "nonsense"),
     (("env=gym", "env.id=FrozenLake-v1", "+env.kwargs.map_name=no"), "'no'"),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 
 import numpy as np
@@ -52,6 +53,23 @@ def test_the_live_line(trials, clock):
     assert re.match(r"\rsoftmax: .*\b2, .*\b1/2, .*\b4\.5, 500 frames/s", line)
     assert "12 s left" in line  # 3 s for 2 iterations, 8 to go
     assert "\n" not in line
+
+
+def test_the_live_line_of_a_sweep(trials, clock, monkeypatch):
+    """The third of nine jobs, 40 s after the first began: 20 s each."""
+    Progress("softmax", [trials], Terminal(), (0, 9))
+    clock[0] += 40
+    stream = Terminal()
+    size = os.terminal_size((200, 5))
+    monkeypatch.setattr(console, "get_terminal_size", lambda: size)
+    progress = Progress("argmax", [trials], stream, (2, 9))
+    clock[0] += 1
+    progress()
+    assert stream.getvalue().startswith("\r3/9, then about 2 min: argmax: iteration")
+    size = os.terminal_size((30, 5))
+    clock[0] += 1
+    progress()
+    assert len(stream.getvalue().split("\r")[-1].removesuffix("\033[K")) == 29
 
 
 def test_the_live_line_is_refreshed_at_intervals(trials, clock):

@@ -102,6 +102,8 @@ def job(tmp_path_factory, train):
         collector="TorchRLCollector",
         seconds=1.0,
     )
+    run = results.read_run(folder)  # without digests, which would notice any change
+    (folder / "run.json").write_text(json.dumps({**run, "files": {}}))
     return folder
 
 

@@ -440,3 +440,29 @@ def test_a_job_that_is_being_cleared_is_first_of_all_unfinished(tmp_path, monkey
     with pytest.raises(OSError, match="killed"):
         writing.clear(job)
     assert not results.is_finished(job)
+
+
+ABSURD = {
+    "trials": [0, -1, 2.5, "3"],
+    "seconds": [-1, float("inf"), float("nan"), "x", None],
+    "seed": [-1, 10**30],
+    "config.score_window": [0, -3, "x", 10**30, None, 2.5, True],
+    "config.max_iterations": [0, -5, "many", 10**30, 1e400],
+    "config.score_threshold": ["x", float("nan"), float("inf"), None],
+    "config.episodes_per_update": [0, "x", 10**30],
+    "config.evaluate_episodes": [0, 10**9, "x"],
+    "config.first_trial": [-1, "x"],
+}
+
+
+@pytest.mark.parametrize("key", ABSURD)
+def test_absurd_values_in_a_record_are_one_line(job, key):
+    path, text = job / "run.json", (job / "run.json").read_text()
+    for value in ABSURD[key]:
+        run = json.loads(text)
+        *within, name = key.split(".")
+        (run["config"] if within else run)[name] = value
+        path.write_text(json.dumps(run))
+        with pytest.raises(ResultsError, match=rf"run\.json: .*{name} is") as error:
+            results.read_job(job)
+        one_line(error)

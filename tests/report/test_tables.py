@@ -95,3 +95,12 @@ def test_the_main_tables_exist_in_every_form(made):
     for name in ("claims", "thesis-configurations", "thesis-pairs", "decay_grid-pairs"):
         for ending in ("csv", "tex", "md"):
             assert (made.out / "tables" / f"{name}.{ending}").stat().st_size > 100
+
+
+@pytest.mark.parametrize("text", ["=cmd|' /C calc'!A0", "+1+1", "-2+3", "@SUM(A1)", "\t=1", "\r=1"])
+def test_a_spreadsheet_runs_no_cell(text):
+    """Names come from folders, which may be somebody else's."""
+    table = Table("t", "T", [], [{"name": text, "=key": -1.5}])
+    header, row = csv.reader(io.StringIO(table.to_csv(), newline=""))
+    assert header == ["name", "'=key"]
+    assert row == ["'" + text.replace("\r", " "), "-1.5"]

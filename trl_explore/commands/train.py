@@ -178,7 +178,8 @@ def train_from(
         checkpoints.clear()
     results.clear(folder)
     configuration.save_hydra(folder, config)
-    progress = Progress(folder.name, [trainer.trials for trainer in shards.trainers])
+    records = [trainer.trials for trainer in shards.trainers]
+    progress = Progress(folder.name, records, place=configuration.place_in_sweep())
     for trainer, saver in zip(shards.trainers, checkpoints.savers, strict=True):
         trainer.on_iteration = partial(after_iteration, progress, saver)
     try:

@@ -19,6 +19,7 @@ from trl_explore.config.sweeping import (
     is_multirun,
     is_repeated,
     is_worker,
+    place_in_sweep,
     save_hydra,
 )
 
@@ -47,6 +48,7 @@ __all__ = [
     "job_name",
     "measured",
     "objective",
+    "place_in_sweep",
     "register_resolvers",
     "resolved",
     "returned",

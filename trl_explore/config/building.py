@@ -46,9 +46,13 @@ def fill_threshold(config: DictConfig) -> None:
     """
     from trl_explore.envs.gym import reward_threshold
 
-    if config.score_threshold is not None or not config.env.get("id"):
+    id = config.env.get("id", "")
+    if "id" in config.env and (not isinstance(id, str) or not id.strip()):
+        raise ConfigError(
+            f"env.id must be the name of an environment, e.g. env.id=Acrobot-v1, got {id!r}"
+        )
+    if config.score_threshold is not None or not id:
         return
-    id = str(config.env.id)
     threshold = _build("env", lambda: reward_threshold(id))
     if threshold is None:
         raise ConfigError(

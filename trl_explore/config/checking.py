@@ -16,6 +16,7 @@ from trl_explore.config.files import (
     GROUPS,
     INERT,
     ConfigError,
+    alike,
     defaults_of,
     group_defaults,
     load,
@@ -24,6 +25,8 @@ from trl_explore.config.files import (
     strategies_of,
 )
 
+FLAGS = ("--config-name", "-cn", "--config-dir", "-cd", "--config-path", "-cp", "--package", "-p")
+"""Flags of Hydra that are followed by a value."""
 INTEGERS = {
     "seed": (0, LARGEST),
     "trials": (1, 10**7),
@@ -54,7 +57,8 @@ def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
     known = set(defaults)
     for name in config:
         if name not in known:
-            raise ConfigError(f"unknown key {name!r}; known: {', '.join(sorted(known))}")
+            hint = alike(str(name)) or f"; known: {', '.join(sorted(known))}"
+            raise ConfigError(f"unknown key {name!r}{hint}")
     for name in sorted(known - {str(key) for key in config}):
         raise ConfigError(f"missing key: {name}")
     for name in ("episodes", "restart", "diagnostics", "debug"):
@@ -145,11 +149,7 @@ def resolved(config: DictConfig) -> dict[str, Any]:
     except MissingMandatoryValue as error:
         raise ConfigError(f"{error.full_key} must be set, e.g. {error.full_key}=…") from None
     except OmegaConfBaseException as error:
-        line = first_line(error)
-        missing = re.search(r"Missing mandatory value: (\S+)", line)  # which another key refers to
-        if missing:
-            line = f"{missing[1]} must be set, e.g. {missing[1]}=…"
-        raise ConfigError(line) from None
+        raise ConfigError(describe(error)) from None
     assert isinstance(container, dict)
     return cast(dict[str, Any], container)
 
@@ -171,19 +171,24 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = ""
 def unreadable(words: Iterable[str]) -> str:
     """One line on the first argument that Hydra's grammar cannot read; empty if it can read all."""
     parser = OverridesParser.create()
+    before = ""
     for word in words:
-        if word.startswith("-"):
+        flag, before = before, word
+        if word.startswith("-") or flag in FLAGS:
             continue
         try:
-            parser.parse_override(word)
+            if word[:1] != "=":  # an empty key, which the grammar allows
+                parser.parse_override(word)
+                continue
         except HydraException:
-            word = "".join(c if c.isprintable() else "?" for c in word)
-            key, equals, value = word.partition("=")
-            if not equals:
-                return f"cannot read the argument {word!r}; arguments have the form key=value"
-            quoted = value.replace("'", "\\'")
-            remedy = f"{key}='{quoted}'"
-            return f'cannot read {word}: put the value in quotes, twice for the shell: "{remedy}"'
+            pass
+        word = "".join(c if c.isprintable() else "?" for c in word)
+        key, equals, value = word.partition("=")
+        if not equals or not re.fullmatch(r"[\w.@/+~:-]+", key):
+            return f"cannot read the argument {word!r}; arguments have the form key=value"
+        quoted = value.replace("'", "\\'")
+        remedy = f"{key}='{quoted}'"
+        return f'cannot read {word}: put the value in quotes, twice for the shell: "{remedy}"'
     return ""
 
 
@@ -198,6 +203,8 @@ def describe(error: BaseException) -> str:
     if isinstance(error, MissingConfigException):
         group, options = error.missing_cfg_file or "", error.options or []
         name, _, option = group.rpartition("/")
+        if not name:
+            return f"there is no configuration {option!r}; without --config-name it is 'train'"
         return f"unknown option {name}={option}; available: {', '.join(options)}"
     if unknown and re.match(r"env\.(kwargs|attributes)\b", unknown[1]):
         added = re.search(r"use (\+.*)", str(error))
@@ -205,7 +212,15 @@ def describe(error: BaseException) -> str:
             f": {added[1]}" if added else ""
         )
     if unknown and unknown[1]:
-        return f"unknown key '{unknown[1]}'; --help lists the keys of this configuration"
+        hint = alike(unknown[1]) or "; --help lists the keys of this configuration"
+        return f"unknown key '{unknown[1]}'{hint}"
+    if missing := re.search(r"Missing mandatory value: (\S+)", str(error)):
+        return f"{missing[1]} must be set, e.g. {missing[1]}=…"
+    if several := re.match(r"Ambiguous value for argument '((.+?)=(.*))'", str(error)):
+        return (
+            f"{several[1]} gives several values: add -m to run a job for each, or write "
+            f"'{several[2]}=[{several[3]}]' for one list"
+        )
     if "Config group override must be" in str(error):
         return (
             f"each of {', '.join(GROUPS)} must be the name of a file in conf/, not null or a list"

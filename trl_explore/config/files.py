@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,8 @@ SCHEDULE = "schedule@"
 """Prefix of a choice that gives a parameter a schedule from ``conf/schedule``:
 ``+schedule@strategy.temperature=linear``."""
 INERT = (
-    "output_dir", "restart", "threads", "episodes", "collector.threads", "env.workers",
-    "checkpoint_seconds", "debug", "keep_weights",
+    "output_dir", "restart", "threads", "episodes", "env.workers", "checkpoint_seconds", "debug",
+    "keep_weights",
 )  # fmt: skip
 """Keys that do not change results; they are not part of a job's name or identity."""
 STRATEGY = "strategy@"
@@ -88,6 +89,25 @@ def load(name: str) -> DictConfig:
     content = OmegaConf.load(paths[0]) if paths else OmegaConf.create()
     assert isinstance(content, DictConfig)
     return content
+
+
+def alike(key: str) -> str:
+    """``; did you mean …?`` for a mistyped key, or empty.
+
+    Example:
+        >>> alike("lr"), alike("strategy.epsilom"), alike("xyzzy")
+        ('; did you mean optimizer.lr?', '; did you mean strategy.epsilon?', '')
+    """
+    known = {str(name): 1.0 for name in load("train") if name not in ("defaults", "hydra")}
+    for group in GROUPS:
+        options = [group_defaults(group, option) for option in files_of(group)]
+        for name in (f"{group}.{name}" for option in options for name in option):
+            known[name] = known.get(name, 0.0) + 1 / len(options)
+    last = key.rpartition(".")[2]
+    same = [(-share, name) for name, share in known.items() if name.rpartition(".")[2] == last]
+    near = get_close_matches(key, known, 1, 0.75)
+    found = [min(same)[1]] if same else near
+    return f"; did you mean {found[0]}?" if found and found[0] != key else ""
 
 
 def schedules_of(choices: Mapping[str, str | None]) -> dict[str, str]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
-from functools import cache
+from collections.abc import Iterator, Mapping
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, cast
 from urllib.parse import quote
@@ -61,7 +61,6 @@ def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
     ``temperature=1`` and ``temperature=1.0`` are one job, and different configurations never share
     a folder.
     """
-    defaults = defaults_of(choices)
     parts = [str(choices.get("strategy"))]
     parts += [
         f"{group}={choices.get(group)}"
@@ -70,9 +69,9 @@ def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:
     ]
     chosen = {**strategies_of(choices), **schedules_of(choices)}
     parts += [f"{key.removeprefix('strategy.')}={option}" for key, option in chosen.items()]
-    leaves = _leaves(defaults, config)
+    leaves = dict(_leaves(config, choices))
     for key in sorted(leaves, key=lambda key: (not key.startswith("strategy."), key)):
-        value, default = OmegaConf.select(config, key), leaves[key]
+        value, default = leaves[key]
         shown_always = key.startswith(("strategy.", "correction.strategy.")) and "._" not in key
         usual = default is not ABSENT and same(value, default)
         if key in INERT or (usual and not shown_always):
@@ -99,37 +98,48 @@ def _default_choices() -> dict[str, str]:
     return {str(group): option for entry in named for group, option in entry.items()}
 
 
-def _leaves(defaults: DictConfig, config: DictConfig) -> dict[str, Any]:
-    """Every key of the configuration that holds a value, with its default in ``conf/``."""
-    leaves: dict[str, Any] = {}
+def _leaves(
+    config: DictConfig, choices: Mapping[str, str | None]
+) -> Iterator[tuple[str, tuple[Any, Any]]]:
+    """Every key of the configuration that holds a value, with the value and its default."""
+    values = {
+        str(name): OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
+        for name in config
+        if name != "hydra" and not OmegaConf.is_missing(config, str(name))
+        for node in [config[name]]
+    }
+    defaults = _unresolved(tuple(sorted(choices.items())))
 
-    def walk(node: DictConfig, prefix: str) -> None:
-        for name in node:
-            key = f"{prefix}{name}"
-            if key == "hydra" or (OmegaConf.is_missing(node, name) and not prefix):
-                continue
-            child = None if OmegaConf.is_missing(node, name) else node[name]
-            if isinstance(child, DictConfig):
-                walk(child, f"{key}.")
-            else:
-                leaves[key] = _default(defaults, config, key)
+    def walk(node: Any, default: Any, key: str) -> Iterator[tuple[str, tuple[Any, Any]]]:
+        if isinstance(node, dict):
+            inner = default if isinstance(default, dict) else {}
+            for name, child in node.items():
+                yield from walk(child, inner.get(name, "???"), f"{key}.{name}" if key else name)
+        else:
+            value = None if node == "???" else node
+            yield key, (value, _default(config, values, default, key))
 
-    walk(config, "")
-    return leaves
+    return walk(values, defaults, "")
 
 
-def _default(defaults: DictConfig, config: DictConfig, key: str) -> Any:
+@lru_cache(maxsize=64)
+def _unresolved(items: tuple[tuple[str, str | None], ...]) -> dict[str, Any]:
+    return cast(dict[str, Any], OmegaConf.to_container(defaults_of(dict(items))))
+
+
+def _default(config: DictConfig, values: Any, default: Any, key: str) -> Any:
     """The default of a key in ``conf/``; if it refers to another key, the value of that key."""
-    parent, _, name = key.rpartition(".")
-    node = OmegaConf.select(defaults, parent, throw_on_missing=False) if parent else defaults
-    if not isinstance(node, DictConfig) or name not in node or OmegaConf.is_missing(node, name):
+    if default == "???":
         return ABSENT
-    unresolved = cast(dict[str, Any], OmegaConf.to_container(node))
-    pointer = re.fullmatch(r"\$\{([\w.]+)\}", str(unresolved[name]))
+    pointer = re.fullmatch(r"\$\{([\w.]+)\}", default) if isinstance(default, str) else None
     if pointer:
-        return OmegaConf.select(config, pointer[1])
-    if "${" not in str(unresolved[name]):
-        return node[name]
+        found = values
+        for name in pointer[1].split("."):
+            found = found.get(name) if isinstance(found, dict) else None
+        return found
+    if "${" not in str(default):
+        return default
+    parent, _, name = key.rpartition(".")
     given = OmegaConf.select(config, parent) if parent else config
-    text = cast(dict[str, Any], OmegaConf.to_container(given))[name]
-    return given[name] if text == unresolved[name] else ABSENT
+    text = OmegaConf.to_container(OmegaConf.masked_copy(given, name))
+    return given[name] if text == {name: default} else ABSENT

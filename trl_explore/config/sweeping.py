@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Callable
@@ -17,18 +18,17 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.utils import JobReturn
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.checks import first_line
 from trl_explore.config.awaiting import await_all
 from trl_explore.config.files import ConfigError
 from trl_explore.config.naming import register_resolvers
+from trl_explore.config.planning import plan
 from trl_explore.jobs import sweeps
 from trl_explore.jobs.lock import is_locked
 
@@ -87,17 +87,22 @@ class Sweep(Callback):
                     self.place.mkdir(parents=True, exist_ok=True)
                     sweeps.begin_sweep(self.place, [])
                     return
-                folders, self.others = _plan(config)
+                folders, self.others = plan(config)
                 for sweep, names in _by_sweep(folders).items():
                     sweep.mkdir(parents=True, exist_ok=True)
                     sweeps.begin_sweep(sweep, names)
                 self.folders = folders
             await_all(config.hydra.launcher._target_, _State.reasons.append)
 
+    def on_job_end(self, config: DictConfig, job_return: JobReturn, **arguments: Any) -> None:
+        """Drop the configuration, which Hydra would keep until the sweep ends."""
+        job_return.cfg = job_return.hydra_cfg = None
+
     def on_job_start(self, config: DictConfig, **arguments: Any) -> None:
         """Record whether the job that starts in this process is a duplicate."""
         number = OmegaConf.select(config, "hydra.job.num", throw_on_missing=False)
         planned = isinstance(number, int) and number < len(self.folders)
+        _State.place = (number, len(self.folders)) if planned else (0, 1)
         planned = planned and number not in self.others
         _State.repeated = planned and self.folders.index(self.folders[number]) < number
 
@@ -107,38 +112,11 @@ class _State:
 
     leads = False
     repeated = False
+    place: tuple[int, int] = (0, 1)
     sweep: Sweep | None = None
     ended: list[Ended]
     reasons: list[str]
     """How the cluster ended each job, in the order of the jobs; see ``await_all``."""
-
-
-def _plan(config: DictConfig) -> tuple[list[Path], set[int]]:
-    """Compose every job of a sweep, which detects errors.
-
-    Returns:
-        The folder of each job, and the numbers of the jobs whose folder belongs to an earlier job
-        of another configuration.
-    """
-    loader = GlobalHydra.instance().config_loader()
-    words = [f"{key}={value}" for key, value in (config.hydra.sweeper.get("params") or {}).items()]
-    words += [str(word) for word in config.hydra.overrides.task]
-    overrides = OverridesParser.create(config_loader=loader).parse_overrides(words)
-    (batch,) = BasicSweeper.split_arguments(overrides, max_batch_size=None)
-    jobs = [loader.load_sweep_config(config, job) for job in batch]
-    for number, job in enumerate(jobs):  # as launchers do: the name of a folder may contain it
-        with open_dict(job):
-            job.hydra.job.id = job.hydra.job.num = number
-    places = (Path(str(job.hydra.sweep.dir), str(job.hydra.sweep.subdir)) for job in jobs)
-    folders = [place.absolute() for place in places]
-    values = [OmegaConf.to_container(OmegaConf.masked_copy(job, _keys(job))) for job in jobs]
-    others = {n for n, one in enumerate(values) if one != values[folders.index(folders[n])]}
-    return folders, others
-
-
-def _keys(job: DictConfig) -> list[str]:
-    """The keys of a job's configuration but for Hydra's own."""
-    return [str(key) for key in job if key != "hydra"]
 
 
 def _by_sweep(folders: list[Path]) -> dict[Path, list[str]]:
@@ -168,6 +146,11 @@ def _not_installed(config: DictConfig) -> str:
 def is_worker() -> bool:
     """Whether a launcher started this process to run jobs."""
     return not _State.leads
+
+
+def place_in_sweep() -> tuple[int, int]:
+    """The number of the job of this process, from 0, and the number of jobs of its sweep."""
+    return _State.place
 
 
 def is_repeated() -> bool:
@@ -209,9 +192,9 @@ def collect(start: Callable[[], object]) -> list[Ended]:
         Exception: the exception of Hydra, if the jobs cannot be composed.
     """
     _State.leads, _State.repeated, _State.sweep = True, False, None
-    _State.ended, _State.reasons = [], []
+    _State.ended, _State.reasons, _State.place = [], [], (0, 1)
     begun = time.time()
-    reason = CUT
+    reason, before, threading.excepthook = CUT, threading.excepthook, _in_thread
     try:
         start()
     except Exception as error:
@@ -222,6 +205,7 @@ def collect(start: Callable[[], object]) -> list[Ended]:
         # The launcher itself failed: a process was killed, or a timeout.
         reason = f"the launcher failed ({type(error).__name__}: {first_line(error)})"
     finally:
+        threading.excepthook = before
         if _State.sweep is not None and _State.sweep.place is not None:
             for sweep in {_State.sweep.place, *_by_sweep(_State.sweep.folders)}:
                 sweeps.end_sweep(sweep)
@@ -243,6 +227,15 @@ def _since(sweep: Path | None, begun: float) -> list[Path]:
     failed = [sweep / name for name in sweeps.read_failures(sweep)]
     done = [run.parent for run in sweep.glob(f"*/{sweeps.RUN}") if run.stat().st_mtime >= begun]
     return [*done, *failed]
+
+
+def _in_thread(error: threading.ExceptHookArgs) -> None:
+    """Print no traceback of joblib's thread, which may fail after a worker was killed.
+
+    Joblib raises an error in the main thread, too, and one line reports that one.
+    """
+    if not type(error.thread).__module__.startswith("joblib.externals.loky"):
+        threading.__excepthook__(error)
 
 
 def _from_files(folder: Path, reason: str) -> Ended:
@@ -274,7 +267,7 @@ def is_multirun() -> bool:
 
 def save_hydra(folder: Path, config: DictConfig) -> None:
     """Write ``.hydra/`` as Hydra does."""
-    hydra = OmegaConf.create({"hydra": HydraConfig.get()})
+    hydra = HydraConfig.instance().cfg
     files = {
         "config.yaml": config,
         "hydra.yaml": hydra,

@@ -26,8 +26,7 @@ def code_digests(config: Mapping[str, Any]) -> dict[str, str]:
     ``env.id``, and that belongs to no package whose version is recorded.
     """
     names = sorted({name for name in _modules(config) if name.partition(".")[0] not in PACKAGES})
-    found = {OWN: _digest(tuple(path for room in ROOMS for path in _sources(ROOT / room)))}
-    return found | {name: _digest(_files(name)) for name in names}
+    return {OWN: _own()} | {name: _digest(_files(name)) for name in names}
 
 
 def changed_code(
@@ -73,6 +72,11 @@ def _files(name: str) -> tuple[Path, ...]:
 
 def _sources(folder: Path) -> tuple[Path, ...]:
     return tuple(sorted(folder.rglob("*.py")))
+
+
+@cache
+def _own() -> str:
+    return _digest(tuple(path for room in ROOMS for path in _sources(ROOT / room)))
 
 
 @cache

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Collection, Iterable, Sequence
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
@@ -22,19 +23,36 @@ REFRESH = 0.2
 class Progress:
     """A live line: trials converged so far, mean score, frames/s, upper bound on the time left.
 
-    It prints nothing if ``stream`` is not a terminal.
+    In a sweep it starts with the number of the job and the time left for the jobs after it, if they
+    take as long as those before. Its label is cut to the width of the terminal. It prints
+    nothing if ``stream`` is not a terminal.
 
     Args:
         label: the name of what is running.
         records: the records of the shards; progress counts from their current state.
         stream: the stream to write to.
+        place: the number of the job in its sweep, from 0, and the number of jobs.
     """
 
+    began = time.perf_counter()
+    """When this process began its first job [s]."""
     quiet = False
     """Whether several processes share the terminal, so that none shows a live line."""
 
-    def __init__(self, label: str, records: Sequence[Trials], stream: TextIO = sys.stderr) -> None:
-        self.label, self.records, self.stream = label, records, stream
+    def __init__(
+        self,
+        label: str,
+        records: Sequence[Trials],
+        stream: TextIO = sys.stderr,
+        place: tuple[int, int] = (0, 1),
+    ) -> None:
+        self.records, self.stream = records, stream
+        number, jobs = place
+        if not number:
+            Progress.began = time.perf_counter()
+        each = (time.perf_counter() - Progress.began) / max(number, 1)
+        after = f", then about {duration(each * (jobs - number - 1))}" if number else ""
+        self.label = f"{label}: " if jobs == 1 else f"{number + 1}/{jobs}{after}: {label}: "
         self.iterations = sum(len(record) * record.iteration for record in records)
         self.frames = sum(int(record.frames.sum()) for record in records)
         self.live = stream.isatty() and not Progress.quiet
@@ -53,13 +71,16 @@ class Progress:
         todo = sum(len(record) * (record.max_iterations - record.iteration) for record in running)
         shards = f"{len(records) - len(running)}/{len(records)} shards, " if records[1:] else ""
         frames = sum(int(record.frames.sum()) for record in records) - self.frames
-        self.stream.write(
-            f"\r{self.label}: {shards}iteration {max(record.iteration for record in running)}, "
+        line = (
+            f"{shards}iteration {max(record.iteration for record in running)}, "
             f"converged {sum(int(record.converged.sum()) for record in records)}/{trials}, "
             f"mean score {sum(float(record.score.sum()) for record in records) / trials:.1f}, "
             f"{frames / seconds:,.0f} frames/s, "
-            f"at most {duration(seconds / max(done, 1) * todo)} left\033[K"
+            f"< {duration(seconds / max(done, 1) * todo)} left"
         )
+        width = get_terminal_size().columns - 1
+        label = self.label[: max(width - len(line), 0)]
+        self.stream.write(f"\r{label}{line[:width]}\033[K")
         self.stream.flush()
 
     def close(self) -> None:

@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
+from sys import float_info
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -35,6 +36,8 @@ from trl_explore.statistics.outcomes import Outcomes
 if TYPE_CHECKING:
     import pandas as pd
 
+FINITE = float_info.max
+
 
 class Field(NamedTuple):
     """A value of a record: its types, and the bounds of a number."""
@@ -57,9 +60,12 @@ RUN_FIELDS = {
 }  # fmt: skip
 CONFIG_FIELDS = {
     "strategy": Field((dict,)), "max_iterations": Field((int,), 1),
-    "score_threshold": Field((int, float), -LARGEST), "score_window": Field((int,), 1),
+    "score_threshold": Field((int, float), -FINITE, FINITE), "score_window": Field((int,), 1),
 }  # fmt: skip
-OPTIONAL_FIELDS = {"episodes_per_update": Field((int,), 1), "first_trial": Field((int,), 0)}
+OPTIONAL_FIELDS = {
+    "episodes_per_update": Field((int,), 1), "first_trial": Field((int,), 0),
+    "evaluate_episodes": Field((int,), 1, 10**6),
+}  # fmt: skip
 """Of the configuration; older versions have none."""
 
 

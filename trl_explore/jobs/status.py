@@ -1,7 +1,8 @@
 """The status of a sweep: which jobs are done, running, failed, cut off or left.
 
-A folder with ten thousand jobs is read in about a second: one small file for each finished job, and
-the header of a checkpoint for each unfinished one. Neither torch nor pandas is needed.
+A folder with ten thousand jobs is read in about a second: one small file for each finished job (two
+if it is shown), and the header of a checkpoint for each unfinished one. Neither torch nor pandas is
+needed.
 """
 
 from __future__ import annotations
@@ -16,7 +17,13 @@ from typing import Any
 
 from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
 from trl_explore.jobs.checkpoint import SLOTS
-from trl_explore.jobs.columns import EPISODES, TRIALS
+from trl_explore.jobs.columns import (
+    EPISODES,
+    LEARN_COLUMNS,
+    PASS_COLUMNS,
+    TRIALS,
+    read_table,
+)
 from trl_explore.jobs.console import printable, text_table
 from trl_explore.jobs.files import RUN, ResultsError, read_file
 from trl_explore.jobs.lock import NAME as LOCK
@@ -214,14 +221,29 @@ def report(sweep: SweepStatus, *, everything: bool = False) -> str:
         job for job in sweep.jobs if everything or len(sweep.jobs) <= SHOWN or job.state != DONE
     ]
     if shown:
-        rows = [("job", "state", "iterations", "seconds", ""), *map(_row, shown)]
-        lines += [f"  {line}" for line in text_table(rows, left={0, 1, 4})]
+        header = ("job", "state", "iterations", "passed", "learned", "seconds", "")
+        rows = [header, *(_row(sweep.folder, job) for job in shown)]
+        lines += [f"  {line}" for line in text_table(rows, left={0, 1, 6})]
     return "\n".join(lines)
 
 
-def _row(job: JobStatus) -> tuple[str, ...]:
+def _row(sweep: Path, job: JobStatus) -> tuple[str, ...]:
     iterations = "–" if job.iterations is None else f"{job.iterations:,}"
     if job.state != DONE and job.iterations is not None and job.cap is not None:
         iterations += f" of {job.cap:,}"
     seconds = "–" if job.seconds is None else f"{job.seconds:,.1f}"
-    return printable(job.name), job.state, iterations, seconds, printable(job.reason)
+    measures = _measures(sweep / job.name) if job.state == DONE else ("–", "–")
+    return printable(job.name), job.state, iterations, *measures, seconds, printable(job.reason)
+
+
+def _measures(job: Path) -> tuple[str, str]:
+    """How many trials of a finished job have passed and learned, out of how many."""
+    try:
+        table = read_table(job / TRIALS, {}, PASS_COLUMNS, LEARN_COLUMNS)
+    except ResultsError:
+        return "–", "–"
+    passed, learned = (
+        f"{int(table[name].sum())} of {len(table[name])}" if name in table else "–"
+        for name in ("passed", "learned")
+    )
+    return passed, learned

@@ -7,6 +7,7 @@ import os
 import platform
 import shutil
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,7 +59,8 @@ def clear(job: Path) -> None:
         shutil.rmtree(job / SCALARS)
 
 
-def versions() -> dict[str, str]:
+@cache
+def versions() -> Mapping[str, str]:
     """The versions of Python and of the packages on which the bits of a result may depend."""
     own = {"python": platform.python_version(), "trl_explore": VERSION}
     return own | {package: version(package) for package in PACKAGES if package not in own}

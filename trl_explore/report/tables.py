@@ -103,8 +103,9 @@ def plain(value: Any) -> str:
 
 def _cell(value: Any) -> str:
     """The text of a CSV cell; one that a spreadsheet would run as a formula starts with ``'``."""
-    text = plain(value)
-    return f"'{text}" if isinstance(value, str) and text[:1] in tuple("=+-@\t\r") else text
+    text = plain(value).replace("\r", " ")  # which the writer does not quote
+    formula = isinstance(value, str) and text.lstrip()[:1] in tuple("=+-@")
+    return f"'{text}" if formula else text
 
 
 def _markdown(text: str) -> str:

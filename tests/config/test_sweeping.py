@@ -1,0 +1,101 @@
+"""The jobs of a sweep are composed from files that are read once."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from hydra import initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException
+from hydra.types import RunMode
+from omegaconf import OmegaConf
+
+from trl_explore import config as configuration
+from trl_explore.config import sweeping
+from trl_explore.config.files import CONF
+from trl_explore.config.planning import Composer
+
+JOBS = [
+    "",
+    "seed=3 strategy.temperature=1",
+    "strategy=epsilon_greedy strategy.epsilon=0.2",
+    "strategy=argmax",
+    "+schedule@strategy.temperature=linear strategy.temperature.initial=5",
+    "correction=as_if strategy@correction.strategy=argmax",
+    "experiment=why strategy=softmax correction=per_step",
+    "env=frozenlake policy=tabular +env.kwargs.is_slippery=false",
+    "env=gym env.id=Acrobot-v1",
+    "~experiment ~strategy.temperature",
+    "hydra.job.name=mine hydra.sweep.subdir=x",
+    "+env.attributes={gravity:3.7} score_threshold=100.0",
+]
+WRONG = ["seed=3,4", "foo=1", "strategy=nope", "strategy.nope=2", "~nope", "seed=[1"]
+
+
+@pytest.fixture(scope="module")
+def loader() -> Iterator[Any]:
+    configuration.register_resolvers()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        yield GlobalHydra.instance().config_loader()
+
+
+@pytest.fixture(scope="module")
+def master(loader) -> Any:
+    return loader.load_configuration("train", ["output_dir=here", "seed=7"], RunMode.MULTIRUN)
+
+
+def test_jobs_are_those_of_hydra(loader, master):
+    composer = Composer(loader)
+    for text in [*JOBS, *reversed(JOBS)]:  # what one job changes must not reach another
+        expected = loader.load_sweep_config(master, text.split())
+        job = composer(master, text.split())
+        assert OmegaConf.to_container(job) == OmegaConf.to_container(expected), text
+        job.seed = 99
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_errors_are_those_of_hydra(loader, master, text):
+    with pytest.raises(HydraException) as expected:
+        loader.load_sweep_config(master, [text])
+    with pytest.raises(HydraException) as error:
+        Composer(loader)(master, [text])
+    assert str(error.value) == str(expected.value)
+
+
+def test_files_are_read_once_for_each_choice_of_options(loader, master, monkeypatch):
+    read = []
+    load = type(loader).load_sweep_config
+
+    def note(self, master, words):
+        read.append(words)
+        return load(self, master, words)
+
+    monkeypatch.setattr(type(loader), "load_sweep_config", note)
+    composer = Composer(loader)
+    for seed in range(4):
+        for strategy in ("softmax", "argmax"):
+            composer(master, [f"strategy={strategy}", f"seed={seed}"])
+    assert read == [["strategy=softmax"], ["strategy=argmax"]]
+
+
+def test_a_launcher_may_send_it_to_another_process(loader, master):
+    composer = Composer(loader)
+    composer(master, ["seed=4"])
+    again = pickle.loads(pickle.dumps(composer))
+    assert again(master, ["seed=4"]) == composer(master, ["seed=4"])
+
+
+@pytest.mark.parametrize("module", ["joblib.externals.loky.process_executor", "elsewhere"])
+def test_a_thread_of_joblib_prints_no_traceback(module, capsys, monkeypatch):
+    def fail() -> None:
+        raise KeyError(17)
+
+    monkeypatch.setattr(threading, "excepthook", sweeping._in_thread)
+    thread = type("Manager", (threading.Thread,), {"__module__": module})(target=fail)
+    thread.start()
+    thread.join()
+    assert ("Traceback" in capsys.readouterr().err) == (module == "elsewhere")
