@@ -13,7 +13,8 @@ from contextlib import redirect_stdout
 from pathlib import Path
 
 from trl_explore.commands import train
-from trl_explore.jobs.columns import ResultsError, write_whole
+from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import write_whole
 
 TASKS = {
     "CartPole": "env=cartpole",

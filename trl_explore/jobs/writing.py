@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
@@ -26,7 +25,6 @@ from trl_explore.jobs.columns import (
     PACKAGES,
     PASS_COLUMNS,
     PURPOSE_COLUMNS,
-    RUN,
     SCALARS,
     TIMING_COLUMNS,
     TIMINGS,
@@ -35,10 +33,9 @@ from trl_explore.jobs.columns import (
     VISITS,
     WEIGHTS,
     join_rows,
-    named,
     table_text,
-    write_whole,
 )
+from trl_explore.jobs.files import RUN, named, record, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -115,6 +112,7 @@ def write_job(
     for name, arrays in ((KEPT, kept), (VISITS, visits)):
         if arrays is not None:
             write_whole(job / name, save({key: a.copy() for key, a in arrays.items()}))
+    paths = [job / name for name in (TRIALS, EPISODES, EVALUATIONS, WEIGHTS, KEPT, VISITS)]
     run = {
         "status": "finished",
         "experiment": experiment,
@@ -125,7 +123,7 @@ def write_job(
         "seconds": seconds,
         "iterations": trials.iteration,
         "threads": {"compiled": config["threads"], "torch": torch.get_num_threads()},
-        "files": _record(job),
+        "files": record(job, [*paths, *sorted((job / SCALARS).glob("*.csv"))]),
         "config": config,
         "versions": versions(),
         "code": code_digests(config),
@@ -133,22 +131,6 @@ def write_job(
     }
     _sync(job)
     _write_text(job / RUN, json.dumps(run, indent=2) + "\n")
-
-
-def _record(job: Path) -> dict[str, dict[str, Any]]:
-    """The length in bytes and SHA-256 of every file of the job, for ``run.json``."""
-    names = (TRIALS, EPISODES, EVALUATIONS, WEIGHTS, KEPT, VISITS)
-    paths = [job / name for name in names] + sorted((job / SCALARS).glob("*.csv"))
-    return {
-        path.relative_to(job).as_posix(): {"bytes": path.stat().st_size, "sha256": _digest(path)}
-        for path in paths
-        if path.is_file()
-    }
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _write_text(path: Path, text: str) -> None:
