@@ -19,7 +19,16 @@ def test_different_caps_stand_in_one_report_but_are_not_compared(tmp_path, make_
     assert [g.group.cap for g in groups] == [1000, 500]
     assert all(len(g.comparisons) == 1 for g in groups)
     assert len({g.group.id for g in groups}) == 2
-    build_report([tmp_path], tmp_path / "out")
+    page, _ = build_report([tmp_path], tmp_path / "out")
+    assert 'href="map.html"' not in page.read_text(encoding="utf-8")
+
+
+def test_a_map_beside_the_report_is_linked(tmp_path, make_job):
+    make_job(tmp_path / "train", "softmax", [150, 200])
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "map.html").touch()
+    page, _ = build_report([tmp_path], tmp_path / "out")
+    assert page.read_text(encoding="utf-8").count('<a href="map.html">') == 1
 
 
 def test_different_environments_are_not_compared(tmp_path, make_job):
