@@ -29,6 +29,7 @@ ROOMS = (
     "collectors",
     "training",
     "jobs",
+    "logs",
     "config",
     "thesis",
     "report",
@@ -48,7 +49,7 @@ USERS = {
 """The only parts of the package that may import each of these, anywhere in their modules."""
 
 TORCH = {"torch", "tensordict", "torchrl"}
-WITHOUT_TORCH = ("statistics", "thesis", "report")
+WITHOUT_TORCH = ("statistics", "logs", "thesis", "report")
 HEAVY = TORCH | {"hydra", "omegaconf", "numba", "llvmlite"}
 """What importing the rooms without torch must not import, directly or through others."""
 

@@ -8,7 +8,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from trl_explore.commands import logs
 from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.console import printable, tell
 from trl_explore.report.build import build_report
 from trl_explore.report.study import THESIS, StudyFile, read_study
 
@@ -27,6 +29,7 @@ def main() -> int:
                         " them")  # fmt: skip
     parser.add_argument("--out", type=Path, help="folder of the report (default: first DIR/report,"
                         " or, for a study that only runs sweeps, STUDY/report)")  # fmt: skip
+    logs.add_arguments(parser)
     arguments = parser.parse_args()
     try:
         study, folders = _study(arguments.places)
@@ -36,16 +39,21 @@ def main() -> int:
         out = arguments.out or beside / "report"
         if study is not None:
             folders += [_run(study, words) for words in study.sweeps]
-        page, gaps = build_report(folders, out, study, _say)
+        if arguments.source:
+            arguments.folders = folders
+            page, gaps = logs.report(arguments, out), []
+        else:
+            page, gaps = build_report(folders, out, study, _say)
     except ResultsError as error:
-        print(f"error: {error}", file=sys.stderr)
+        tell(error)
         return 1
     except OSError as error:
-        print(f"error: cannot write {error.filename}: {error.strerror}", file=sys.stderr)
+        tell(f"cannot write {error.filename}: {error.strerror}")
         return 1
     for gap in gaps:
-        print(f"warning: left out {gap.what}: {gap.why}", file=sys.stderr)
-    print(page)
+        tell(f"left out {gap.what}: {gap.why}", "warning")
+    if page:
+        print(printable(str(page)))
     return 0
 
 

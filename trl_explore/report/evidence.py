@@ -201,7 +201,7 @@ def _answers(parts: Sequence[GroupEvidence]) -> tuple[str, ...]:
 
 def _group_evidence(group: Group, gaps: list[Gap], study: StudyFile) -> GroupEvidence:
     traces = Traces() if group.plane is not None else read_traces(group)
-    gaps.extend(traces.gaps)
+    gaps.extend(found for found in traces.gaps if found not in gaps)
     found = _measured(group, traces, study)
     if not group.learned:
         return found

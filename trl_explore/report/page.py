@@ -89,7 +89,7 @@ def environment() -> Environment:
         keep_trailing_newline=True,
     )
     found.globals["inline"] = lambda f: Markup(inline_svg(f.svg, f.id, f.alt))
-    found.globals["inside"] = frozenset()
+    found.globals["inside"] = None  # every drawing is inside the page
     found.filters["code"] = _code
     return found
 

@@ -64,8 +64,8 @@ class Table:
         keys = list(dict.fromkeys(key for record in self.records for key in record))
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow(keys)
-        writer.writerows([[plain(record.get(key)) for key in keys] for record in self.records])
+        writer.writerow(map(_cell, keys))
+        writer.writerows([[_cell(record.get(key)) for key in keys] for record in self.records])
         return buffer.getvalue()
 
     def rows(self) -> list[list[str]]:
@@ -101,6 +101,12 @@ def plain(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return repr(float(value)) if isinstance(value, float) else str(value)
+
+
+def _cell(value: Any) -> str:
+    """The text of a CSV cell; one that a spreadsheet would run as a formula starts with ``'``."""
+    text = plain(value)
+    return f"'{text}" if isinstance(value, str) and text[:1] in tuple("=+-@\t\r") else text
 
 
 def _markdown(text: str) -> str:

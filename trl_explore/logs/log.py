@@ -1,0 +1,145 @@
+"""A run as its files hold it, and what all readers share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from trl_explore.checks import first_line
+from trl_explore.jobs.columns import ResultsError
+
+Points = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Steps and values [n], in the order of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Everything that one run logged.
+
+    Attributes:
+        place: the path of the run, from the given folder on.
+        names: the quantities that were logged.
+        load: the points of a quantity.
+        step: what the steps count, as the program names it.
+        episodes: quantities with one value for each episode, not a mean over several.
+        facts: ``seed``, ``environment`` and ``configuration``, where the files say them;
+            ``overrides`` are parts of a configuration, with commas.
+        notes: what was unusual, one phrase each.
+        started: when the run began, to tell a repetition from its original; any unit.
+    """
+
+    place: str
+    names: Sequence[str]
+    load: Callable[[str], Points]
+    step: str = "step"
+    episodes: frozenset[str] = frozenset()
+    facts: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+    started: float = 0.0
+
+
+def place_of(path: Path, folder: Path) -> str:
+    """The path of a run from a given folder on, its name included.
+
+    >>> place_of(Path("logs/ppo/0"), Path("logs"))
+    'logs/ppo/0'
+    """
+    folder = folder.resolve()
+    return (Path(folder.name) / path.resolve().relative_to(folder)).as_posix()
+
+
+def hydra_facts(path: Path, folder: Path) -> dict[str, str]:
+    """What Hydra recorded about the run of a file: the overrides of the job, and its seed.
+
+    The folder ``.hydra`` is looked for beside the file and above it, up to the given folder.
+    """
+    for place in [path, *path.parents]:
+        if (place / ".hydra" / "overrides.yaml").is_file():
+            lines = [
+                (place / ".hydra" / f"{name}.yaml").read_text(encoding="utf-8", errors="replace")
+                for name in ("overrides", "config")
+                if (place / ".hydra" / f"{name}.yaml").is_file()
+            ]
+            words = re.findall(r"^- '?([^'\n]+=[^'\n]*)'?$", lines[0], re.M)
+            words = [w for w in words if not w.startswith(("logger", "hydra", "device"))]
+            facts = {"overrides": ",".join(words)} if words else {}
+            for key, pattern in (("seed", r"seed: (\d+)"), ("environment", r"env_name: (\S+)")):
+                if match := re.search(rf"^ *{pattern}$", lines[-1], re.M):
+                    facts[key] = match[1]
+            return facts
+        if place == folder:
+            break
+    return {}
+
+
+def files_below(folder: Path, patterns: Iterable[str]) -> list[Path]:
+    """The files at or below a folder whose names match one of the patterns, sorted."""
+    if folder.is_file():
+        return [folder]
+    return sorted({p for pattern in patterns for p in folder.rglob(pattern) if p.is_file()})
+
+
+def by_folder(files: Iterable[Path]) -> Iterator[tuple[Path, list[Path]]]:
+    """The files of each folder."""
+    groups: dict[Path, list[Path]] = {}
+    for file in files:
+        groups.setdefault(file.parent, []).append(file)
+    yield from groups.items()
+
+
+def read_csv(path: Path, *, skip: int = 0, header: bool = True) -> Any:
+    """A CSV file of any program as a data frame; empty if it has no lines.
+
+    A line that was cut off, or that has too many fields, is left out. Only an empty field is
+    missing; ``nan`` is a value.
+
+    Raises:
+        ResultsError: the file is not readable as CSV.
+    """
+    try:
+        return pd.read_csv(
+            path, skiprows=skip, header=0 if header else None, on_bad_lines="skip",
+            keep_default_na=False, na_values=[""], encoding="utf-8", encoding_errors="replace",
+            low_memory=False,
+        )  # fmt: skip
+    except pd.errors.EmptyDataError:
+        return pd.DataFrame()
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path}: not readable as CSV ({first_line(error)})") from None
+
+
+def numbers(column: Any) -> NDArray[np.float64]:
+    """A column of a data frame as numbers [n]; what is not a number is NaN."""
+    return np.asarray(pd.to_numeric(column, errors="coerce"), dtype=np.float64)
+
+
+def column_points(frame: Any, step: str, name: str) -> Points:
+    """The points of a column; a row in which the field is empty logs something else."""
+    rows = frame[frame[name].notna()]
+    return numbers(rows[step]), numbers(rows[name])
+
+
+def progress(file: Path, folder: Path, steps: Sequence[str], **more: Any) -> Log | None:
+    """The run of a CSV file with one row for each report, one column for each quantity.
+
+    ``steps`` are possible names of the column of steps; None if there is none of them.
+    """
+    frame = read_csv(file)
+    step = next((name for name in steps if name in frame.columns), None)
+    if step is None:
+        return None
+    names = [str(n) for n in frame.columns if n != step and np.isfinite(numbers(frame[n])).any()]
+    return Log(
+        place_of(file.parent, folder),
+        names,
+        lambda name: column_points(frame, step, name),
+        step,
+        **more,
+    )
