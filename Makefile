@@ -32,7 +32,7 @@ thesis: $(READY)
 	$(BIN)/trl-explore train experiment=decay_grid output_dir=$(OUT)
 	$(BIN)/trl-explore time $(OUT)/thesis --trials 30
 	$(BIN)/trl-explore time $(OUT)/decay_grid
-	$(BIN)/trl-explore report $(OUT)/thesis $(OUT)/epsilon_grid $(OUT)/decay_grid --out $(OUT)/report
+	$(BIN)/trl-explore report thesis.yaml $(OUT)/thesis $(OUT)/epsilon_grid $(OUT)/decay_grid --out $(OUT)/report
 
 # make map:     train a small map of the mixtures and write its page (minutes)
 map: $(READY)

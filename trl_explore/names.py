@@ -99,9 +99,12 @@ OPTIONS: Mapping[str, Mapping[str, str]] = {
 
 SYMBOLS: Mapping[str, str] = {
     "epsilon": "ε", "decay": "decay rate", "temperature": "T", "sigma": "σ", "delta": "δ",
-    "beta": "β",
+    "beta": "β", "gamma": "γ", "lr": "learning rate", "baseline.lr": "learning rate of the critic",
+    "baseline.value": "baseline", "baseline.decay": "decay of the baseline",
+    "optimizer": "optimiser",
+    "env": "environment", "entropy_coeff": "entropy coefficient",
 }  # fmt: skip
-"""Strategy parameter -> symbol."""
+"""Parameter, or key of the configuration -> symbol or words."""
 
 
 @dataclass(frozen=True)
@@ -171,17 +174,14 @@ def option_of(config: Mapping[str, Any], group: str) -> str:
 
 
 def symbol(key: str) -> str:
-    """The label of a parameter or group: ``temperature`` -> T.
+    """The label of a parameter or of a key of the configuration: ``temperature`` -> T.
 
-    >>> symbol("correction._target_")
-    'correction'
+    >>> symbol("correction._target_"), symbol("optimizer.lr"), symbol("strategy.n_steps")
+    ('correction', 'learning rate', 'n steps')
     """
-    last = key.rsplit(".", 1)[-1].strip("_").replace("_", " ")
-    first = key.split(".", 1)[0]
-    parameter = SYMBOLS.get(first, first.replace("_", " "))
-    if key in SYMBOLS or last == "target" or key == "baseline.value":
-        return parameter
-    return f"{last} {parameter}" if first in SYMBOLS else last
+    key = key.removesuffix("._target_")
+    last = key.rsplit(".", 1)[-1]
+    return SYMBOLS.get(key, SYMBOLS.get(last, last.strip("_").replace("_", " ")))
 
 
 def experiment(name: str) -> ExperimentName:

@@ -67,7 +67,7 @@ def test_nothing_is_said_of_a_distance_that_was_not_recorded(tmp_path, make_job)
     pairs = (tmp_path / "out" / "tables" / "corrections-pairs.md").read_text(encoding="utf-8")
     assert pairs.count("identical") == 2
     assert "not significant" not in pairs
-    assert "differ only in their strategy and, where stated, in their correction." in text
+    assert "The configurations differ in strategy and correction;" in text
 
 
 def test_conclusions_show_both_verdicts(evidence):

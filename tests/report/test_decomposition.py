@@ -82,7 +82,7 @@ def test_two_maps_of_one_environment_are_two_environments(make):
     other = [replace(r, passed=replace(r.passed, cap=2000)) for r in small]
     found = crossings([*small, *large, *other])
     assert [c.environment for c in found] == [
-        "CartPole-v1", "CartPole-v1 (8x8)", "CartPole-v1, 2"
+        "CartPole-v1", "CartPole-v1, 2", "CartPole-v1, 3"
     ]  # fmt: skip
     assert [c.label for c in found] == 3 * ["argmax"]
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from trl_explore.report.factors import configuration_labels, natural_order, swept_parameters
 from trl_explore.report.groups import group_jobs
-from trl_explore.report.labels import configuration_labels, natural_order, swept_parameters
 from trl_explore.report.layouts import crossed, plane
 from trl_explore.report.loading import load
 from trl_explore.report.style import styles
@@ -105,7 +105,7 @@ def test_two_numbers_make_a_plane(make):
         for e in (0.3, 0.0, 0.1)
         for t in (1.0, 0.5, 2.0)
     ]  # fmt: skip
-    assert swept_parameters(jobs) == ["epsilon", "temperature"]
+    assert swept_parameters(jobs) == ["strategy.epsilon", "strategy.temperature"]
     layout = plane(jobs)
     assert layout is not None
     assert (layout.x, layout.y, layout.xs, layout.ys) == ("ε", "T", (0, 0.1, 0.3), (0.5, 1, 2))

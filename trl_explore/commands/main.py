@@ -27,7 +27,7 @@ COMMANDS = {
 }
 LABORATORY = {
     "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas",
-    "safetensors", "scipy",
+    "safetensors", "scipy", "yaml",
 }  # fmt: skip
 """Modules that the commands need in addition to the core; the extra ``lab`` installs them."""
 

@@ -1,4 +1,4 @@
-"""Build the report from folders of results."""
+"""Build the report from folders of results, or from a study."""
 
 from __future__ import annotations
 
@@ -8,52 +8,56 @@ from pathlib import Path
 
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.report.claims import claims_table, why_tables
-from trl_explore.report.evidence import gather
-from trl_explore.report.figures import draw_all, draw_why
-from trl_explore.report.loading import Gap, load
-from trl_explore.report.page import TITLE, Content, page
+from trl_explore.report.evidence import Evidence, GroupEvidence, gather
+from trl_explore.report.figures import Picture, draw_all, draw_why
+from trl_explore.report.loading import Gap, Say, load, silent
+from trl_explore.report.methods import paragraph, references, settings_table
+from trl_explore.report.page import MARK, Content, page
 from trl_explore.report.results_tables import (
     comparison_table,
     gaps_table,
     jobs_table,
     summary_table,
 )
+from trl_explore.report.study import StudyFile
 from trl_explore.report.tables import Table
 from trl_explore.report.why import decomposition_tables
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
 MAP = "map.html"
 """The page of ``trl-explore map``; the report links to it if it lies beside it."""
+METHODS, REFERENCES = "methods.md", "references.bib"
 
 
-def build_report(folders: Sequence[Path], out: Path) -> tuple[Path, list[Gap]]:
+def build_report(
+    folders: Sequence[Path], out: Path, study: StudyFile | None = None, say: Say = silent
+) -> tuple[Path, list[Gap]]:
     """Write the report on every finished job at or below the folders.
 
     Args:
         folders: job or sweep folders, any number.
         out: folder of the report; ``figures/`` and ``tables/`` of an earlier report are replaced.
+        study: what is asked; None: the questions are inferred from what differs.
+        say: told of every stage.
 
     Returns:
         Path of the page, and what is missing from the report.
 
     Raises:
-        ResultsError: there is nothing to report; the message is one line.
+        ResultsError: there is nothing to report, or the study does not fit the jobs; one line.
 
     """
-    evidence = gather(load(folders))
-    figures = {part.group.id: list(draw_all(part)) for part in evidence.groups}
-    tables: dict[str, list[Table]] = {
-        part.group.id: [
-            summary_table(part),
-            comparison_table(part),
-            *([comparison_table(part.learned, learned=True)] if part.learned else []),
-        ]
-        for part in evidence.groups
-    }
+    evidence = gather(load(folders, say), study, say)
+    figures = {}
+    for k, part in enumerate(evidence.groups, start=1):
+        say(f"figures {k} of {len(evidence.groups)}: {part.group.title}")
+        figures[part.group.id] = list(draw_all(part))
     content = Content(
         evidence=evidence,
         figures=figures,
-        tables=tables,
+        tables={part.group.id: _tables(part) for part in evidence.groups},
+        settings=settings_table(evidence),
+        methods=paragraph(evidence),
         jobs=jobs_table(evidence),
         gaps=gaps_table(evidence),
         why=why_tables(evidence),
@@ -61,19 +65,42 @@ def build_report(folders: Sequence[Path], out: Path) -> tuple[Path, list[Gap]]:
         acting=list(draw_why(evidence.decompositions)),
         map=MAP if (out / MAP).is_file() else "",
     )
+    say("page")
     html = page(content)
     _clear(out)
-    for group in [*figures.values(), content.acting]:
-        for figure in group:
-            _write(out / FIGURES / f"{figure.id}.svg", figure.svg)
-            _fresh(out / FIGURES / f"{figure.id}.png").write_bytes(figure.png)
-    for table in [
-        claims_table(evidence.checked), content.jobs, content.gaps, *content.parts, *content.why,
-        *(t for part in tables.values() for t in part),
-    ]:  # fmt: skip
-        _write_table(out / TABLES, table)
+    _write_files(out, content, evidence)
     _write(out / PAGE, html)
     return out / PAGE, evidence.gaps
+
+
+def _tables(part: GroupEvidence) -> list[Table]:
+    """The tables of a group: configurations, pairs, and the pairs of each further question."""
+    tables = [summary_table(part), comparison_table(part)]
+    tables += [
+        comparison_table(part, answered=answered)
+        for answered in part.answered
+        if answered.comparisons != part.comparisons
+    ]
+    if part.learned:
+        tables.append(comparison_table(part.learned, learned=True))
+    return tables
+
+
+def _write_files(out: Path, content: Content, evidence: Evidence) -> None:
+    """Write figures, tables, methods and references."""
+    pictures: list[Picture] = [f for group in content.figures.values() for f in group]
+    for figure in [*pictures, *content.acting]:
+        _write(out / FIGURES / f"{figure.id}.svg", figure.svg)
+        for kind in ("png", "pdf"):
+            path = _fresh(out / FIGURES / f"{figure.id}.{kind}")
+            path.write_bytes(getattr(figure, kind))
+    for table in [
+        claims_table(evidence.checked), content.settings, content.jobs, content.gaps,
+        *content.parts, *content.why, *(t for part in content.tables.values() for t in part),
+    ]:  # fmt: skip
+        _write_table(out / TABLES, table)
+    _write(out / METHODS, content.methods + "\n")
+    _write(out / REFERENCES, references(evidence))
 
 
 def _clear(out: Path) -> None:
@@ -87,7 +114,7 @@ def _clear(out: Path) -> None:
     for name in (PAGE, FIGURES, TABLES):
         if (out / name).is_symlink():
             (out / name).unlink()
-    if (out / PAGE).is_file() and TITLE in (out / PAGE).read_text(
+    if (out / PAGE).is_file() and MARK in (out / PAGE).read_text(
         encoding="utf-8", errors="replace"
     ):
         for name in (FIGURES, TABLES):

@@ -12,16 +12,15 @@ For every strategy that was run beside softmax, three questions:
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.names import option_of, strategy_label, symbol
 from trl_explore.report.curves import Heights
+from trl_explore.report.factors import canonical
 from trl_explore.report.groups import Group
 from trl_explore.statistics.comparisons import holm
 from trl_explore.statistics.decomposition import Cells, aligned, share_of
@@ -62,17 +61,17 @@ class Run:
     @property
     def acts(self) -> str:
         """Canonical text of the strategy that acts."""
-        return _text([self.passed.strategy, self.passed.config.get("strategy")])
+        return canonical([self.passed.strategy, self.passed.config.get("strategy")])
 
     @property
     def strategy(self) -> str:
         """Canonical text of the strategy alone, as a correction may name it."""
-        return _text(self.passed.config.get("strategy"))
+        return canonical(self.passed.config.get("strategy"))
 
     @property
     def assumes(self) -> str:
         """Canonical text of the strategy that its correction names."""
-        return _text(self.passed.config.get("correction", {}).get("strategy"))
+        return canonical(self.passed.config.get("correction", {}).get("strategy"))
 
     def samples(self) -> dict[str, Sample]:
         """Quantity -> its sample; without the quantities that are unknown."""
@@ -159,14 +158,11 @@ def _label(run: Run, runs: Sequence[Run]) -> str:
 
 
 def _places(runs: Sequence[Run]) -> dict[str, str]:
-    """The name of every environment, unique: "FrozenLake-v1 (8x8)", "CartPole-v1, 2"."""
+    """The name of every environment and its other settings, unique: "CartPole-v1, 2"."""
     found: dict[str, str] = {}
     for run in runs:
-        env = run.passed.config.get("env")
-        options = env.get("kwargs") if isinstance(env, Mapping) else None
-        shown = ", ".join(str(v) for v in (options or {}).values() if isinstance(v, str))
-        name = f"{run.environment} ({shown})" if shown else run.environment
         if _world(run) not in found:
+            name = run.environment
             count = sum(o == name or o.startswith(f"{name}, ") for o in found.values())
             found[_world(run)] = f"{name}, {count + 1}" if count else name
     return found
@@ -178,12 +174,7 @@ def _world(run: Run) -> str:
     groups = {key: config.get(key) for key in AGENT_GROUPS if key != "correction"}
     if isinstance(env := groups.get("env"), Mapping):
         groups["env"] = {key: value for key, value in env.items() if key not in NO_AGENT}
-    return _text([groups, o.cap, o.threshold, o.window, config.get("stop_on", "training")])
-
-
-def _text(value: Any) -> str:
-    """Canonical text, in which 1 and 1.0 are equal."""
-    return json.dumps(json.loads(json.dumps(value, default=str), parse_int=float), sort_keys=True)
+    return canonical([groups, o.cap, o.threshold, o.window, config.get("stop_on", "training")])
 
 
 QUANTITIES: Mapping[str, str] = {

@@ -6,19 +6,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
-from trl_explore.names import experiment
+from trl_explore.names import experiment, experiment_rank
 from trl_explore.report.curves import Traces, read_traces
 from trl_explore.report.decomposition import Decomposition, decompose, runs_of
 from trl_explore.report.groups import Group, group_jobs
 from trl_explore.report.layouts import pairs_by_size, size_sentence
-from trl_explore.report.loading import Gap, Loaded
+from trl_explore.report.loading import Gap, Loaded, Say, silent
+from trl_explore.report.own_claims import own_claims
+from trl_explore.report.questions import Question
+from trl_explore.report.selecting import asked, without
 from trl_explore.report.sentences import (
+    alone,
     answer,
+    confounded_sentence,
     option_sentences,
     plane_sentences,
+    question_sentence,
     score_sentence,
     verdicts,
 )
+from trl_explore.report.study import StudyFile
 from trl_explore.report.why import headline
 from trl_explore.statistics.comparisons import SCORE, Comparison, compare_pairs
 from trl_explore.statistics.estimates import LEVEL
@@ -26,17 +33,31 @@ from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import SharedTrials, shared_trials
 from trl_explore.statistics.power import fewest_pairs
 from trl_explore.statistics.summary import Summary, summarise
-from trl_explore.thesis import Checked, Study, check_claims, why
+from trl_explore.thesis import CLAIMS, NOT_MEASURED, Checked, Study, check_claims, why
+
+MOST_ANSWERS = 8
+"""Most questions beside the main one that the answer speaks of."""
+MOST_PAIRS = 400
+"""Most pairs of a question that is asked beside that of a layout."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answered:
+    """A question with its comparisons, corrected together, and its answer."""
+
+    question: Question
+    comparisons: list[Comparison]
+    sentences: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class GroupEvidence:
-    """The results for one group; ``sentences`` state the fastest and the significant differences.
+    """The results for one group; ``sentences`` state the answers, the largest effect first.
 
     If nothing can be compared, ``comparisons`` is empty and ``incomparable`` gives the reason. For
     a crossed group or a plane, it holds the planned pairs only. ``scores`` compares the final
-    scores of the same pairs. ``learned`` has the same results by what was learned; None if that is
-    unknown.
+    scores of the same pairs. ``answered`` has one entry per question of several. ``learned`` has
+    the same results by what was learned; None if that is unknown.
     """
 
     group: Group
@@ -46,17 +67,30 @@ class GroupEvidence:
     sentences: tuple[str, ...]
     traces: Traces
     scores: list[Comparison]
+    answered: Sequence[Answered] = ()
     learned: GroupEvidence | None = None
+    level: float = LEVEL
 
     @property
     def strict_level(self) -> float:
         """Level of one test after Bonferroni's correction for all comparisons."""
-        return 1.0 - (1.0 - LEVEL) / max(1, len(self.comparisons))
+        return 1.0 - (1.0 - self.level) / max(1, len(self.comparisons))
 
     @property
     def why(self) -> bool:
         """Whether the group belongs to the section on the bias."""
         return experiment(self.group.experiment).why and self.group.crossed is not None
+
+    @property
+    def single(self) -> bool:
+        """Whether there is nothing to compare with."""
+        return len(self.group.configurations) < 2
+
+    @property
+    def size(self) -> float:
+        """The largest significant difference, as a share of the cap."""
+        found = [*self.comparisons, *(c for a in self.answered for c in a.comparisons)]
+        return effect(found)
 
     def summary(self, name: str) -> Summary:
         """The statistics of a configuration."""
@@ -67,9 +101,11 @@ class GroupEvidence:
 class Evidence:
     """All results of the report; the main group comes first, ``answer`` is a few sentences.
 
-    ``decompositions``, ``reexamined`` and ``causes`` are empty if no corrections were run.
+    ``checked`` is empty if none of the statements applies. ``decompositions``, ``reexamined`` and
+    ``causes`` are empty if no corrections were run.
     """
 
+    study: StudyFile
     groups: list[GroupEvidence]
     checked: list[Checked]
     reexamined: list[why.Reexamined]
@@ -86,33 +122,61 @@ class Evidence:
         return sum(len(e.group.timed(c)[1]) for e in self.groups for c in e.group.configurations)
 
 
-def gather(loaded: Loaded) -> Evidence:
-    """Compute everything."""
-    groups = group_jobs(loaded.jobs)
+def gather(loaded: Loaded, study: StudyFile | None = None, say: Say = silent) -> Evidence:
+    """Compute everything that a study asks; without one, what the jobs allow."""
+    study = study or StudyFile()
+    jobs = without(loaded.jobs, study)
     gaps = list(loaded.gaps)
-    parts = [_group_evidence(g, gaps) for g in groups]
-    outcomes = [job.outcomes for job in loaded.jobs]
-    timed = {f"{j.outcomes.experiment}/{j.outcomes.name}": j.timing for j in reversed(loaded.jobs)}
-    study = Study(
+    groups = asked(group_jobs(jobs, together=bool(study.compare)), study)
+    parts = []
+    for k, group in enumerate(groups, start=1):
+        say(f"{k} of {len(groups)}: {group.title}, {len(group.configurations)} configurations")
+        parts.append(_group_evidence(group, gaps, study))
+    parts.sort(key=lambda p: (p.single, experiment_rank(p.group.experiment), -p.size))
+    outcomes = [job.outcomes for job in jobs]
+    timed = {f"{j.outcomes.experiment}/{j.outcomes.name}": j.timing for j in reversed(jobs)}
+    data = Study(
         outcomes,
         seconds={key: t.seconds for key, t in timed.items() if t is not None},
         timed_trials={key: t.trial for key, t in timed.items() if t is not None},
+        level=study.level,
     )
-    checked = check_claims(study)
-    reexamined, causes = _why(study)
-    runs = [run for part in parts for run in runs_of(part.group, part.traces.heights)]
-    decompositions = decompose(runs)
+    say("statements")
+    checked = _checked(data, study)
+    reexamined, causes = _why(data)
+    decompositions = decompose([run for p in parts for run in runs_of(p.group, p.traces.heights)])
     return Evidence(
+        study=study,
         groups=parts,
         checked=checked,
         reexamined=reexamined,
         causes=causes,
         decompositions=decompositions,
-        answer=(*headline(decompositions), *parts[0].sentences, verdicts(checked)),
+        answer=(
+            *headline(decompositions),
+            *_answers(parts),
+            *verdicts(checked, "thesis" if study.claims in (None, "thesis") else "study"),
+        ),
         shared=shared_trials(outcomes),
         gaps=gaps,
         outcomes=outcomes,
     )
+
+
+def effect(comparisons: Sequence[Comparison]) -> float:
+    """The largest significant difference of any pair, as a share of the cap; 0 if there is none."""
+    real = (abs(c.difference.value) / c.cap for c in comparisons if c.winner is not None)
+    return max(real, default=0.0)
+
+
+def _checked(data: Study, study: StudyFile) -> list[Checked]:
+    """The statements of the study, or of the thesis; none if none of the thesis's applies."""
+    if isinstance(study.claims, tuple):
+        return check_claims(
+            data, own_claims(study.claims, study.path.name if study.path else "study")
+        )
+    found = check_claims(data, CLAIMS)
+    return found if any(c.finding.verdict != NOT_MEASURED for c in found) else []
 
 
 def _why(study: Study) -> tuple[list[why.Reexamined], list[Checked]]:
@@ -121,46 +185,88 @@ def _why(study: Study) -> tuple[list[why.Reexamined], list[Checked]]:
     return why.reexamine(study), check_claims(study, why.CLAIMS)
 
 
-def _group_evidence(group: Group, gaps: list[Gap]) -> GroupEvidence:
+def _answers(parts: Sequence[GroupEvidence]) -> tuple[str, ...]:
+    """The sentences of the main group, one of every other, and the jobs without a partner."""
+    main, *others = parts
+    compared = [p for p in others if not p.single]
+    said = [f"{p.group.title}: {p.sentences[0]}" for p in compared if p.sentences]
+    more = len(said) - MOST_ANSWERS
+    return (
+        *main.sentences,
+        *said[:MOST_ANSWERS],
+        *([f"The sections below answer {more} more questions."] if more > 0 else []),
+        *alone([p.group for p in others if p.single]),
+    )
+
+
+def _group_evidence(group: Group, gaps: list[Gap], study: StudyFile) -> GroupEvidence:
     traces = Traces() if group.plane is not None else read_traces(group)
     gaps.extend(found for found in traces.gaps if found not in gaps)
-    found = _measured(group, traces)
+    found = _measured(group, traces, study)
     if not group.learned:
         return found
     learned = replace(group, configurations=list(group.learned), learned=())
-    by_learning = _measured(learned, traces)
+    by_learning = _measured(learned, traces, study)
     said = [
         s if s.startswith("The learned") else f"Judged by what was learned, {s[:1].lower()}{s[1:]}"
         for s in by_learning.sentences
+        if s not in found.sentences
     ]
     return replace(found, learned=by_learning, sentences=(*found.sentences, *said))
 
 
-def _measured(group: Group, traces: Traces) -> GroupEvidence:
+def _measured(group: Group, traces: Traces, study: StudyFile) -> GroupEvidence:
     """The results of a group by the measure of its configurations."""
-    configurations = group.configurations
+    configurations, level = group.configurations, study.level
     pairs = _pairs(group)
     comparisons: list[Comparison] = []
     scores: list[Comparison] = []
+    answered: list[Answered] = []
     incomparable = "" if len(configurations) > 1 else "there is only one configuration"
     try:
-        comparisons = compare_pairs(pairs)
-        scores = compare_pairs(pairs, SCORE)
+        comparisons = compare_pairs(pairs, level=level)
+        scores = compare_pairs(pairs, SCORE, level=level)
+        answered = _answered(group, comparisons, level)
     except ValueError as error:
         incomparable = str(error)
+    if not pairs and len(configurations) > 1 and group.confounds:
+        incomparable = "no two configurations differ in one factor only"
     return GroupEvidence(
         group=group,
-        summaries=[summarise(c) for c in configurations],
+        summaries=[summarise(c, level=level) for c in configurations],
         comparisons=comparisons,
         incomparable=incomparable,
         sentences=(
-            *_sentences(group, comparisons),
+            *(_sentences(group, comparisons, level) if not answered else ()),
+            *(s for a in answered for s in a.sentences),
+            *(confounded_sentence(c, group) for c in group.confounds),
             *_scores_said(group, comparisons, scores),
-            *(_cut_short(group) or _too_few(comparisons)),
+            *(_cut_short(group) or _too_few(comparisons, level)),
         ),
         traces=traces,
-        scores=scores,
+        scores=scores if "score" in study.measures else [],
+        answered=answered,
+        level=level,
     )
+
+
+def _answered(group: Group, comparisons: list[Comparison], level: float) -> list[Answered]:
+    """The answers of a group with several questions, the largest effect first."""
+    if group.plane is not None or group.sized or (group.free and not group.chosen):
+        return []
+    by_name = {c.name: c for c in group.configurations}
+    found = []
+    for question in group.questions:
+        layout = group.crossed
+        if layout is not None and not group.chosen and question.of == layout.of:
+            cells = {n: (layout.rows[r], layout.options[o]) for (r, o), n in layout.cells.items()}
+            found.append(Answered(question, comparisons, option_sentences(comparisons, cells)))
+        elif len(question.pairs) <= MOST_PAIRS:
+            table = compare_pairs([(by_name[a], by_name[b]) for a, b in question.pairs],
+                                  level=level)  # fmt: skip
+            said = question_sentence(question, table, by_name)
+            found.append(Answered(question, table, (said,)))
+    return sorted(found, key=lambda a: -effect(a.comparisons))
 
 
 def _scores_said(
@@ -174,23 +280,26 @@ def _scores_said(
 
 
 def _pairs(group: Group) -> list[tuple[Outcomes, Outcomes]]:
-    """The planned pairs of a group with a layout; without one, all pairs."""
+    """The planned pairs of a group with a layout; otherwise those of its questions, or all."""
     if group.sized:
         return list(pairs_by_size(group.configurations))
-    layout = group.crossed or group.plane
-    if layout is None:
-        return list(combinations(group.configurations, 2))
     by_name = {c.name: c for c in group.configurations}
-    return [(by_name[a], by_name[b]) for a, b in layout.pairs()]
+    layout = group.crossed or group.plane
+    if layout is not None and not group.chosen:
+        return [(by_name[a], by_name[b]) for a, b in layout.pairs()]
+    if group.free and not group.chosen:
+        return list(combinations(group.configurations, 2))
+    names = dict.fromkeys(pair for question in group.questions for pair in question.pairs)
+    return [(by_name[a], by_name[b]) for a, b in names]
 
 
-def _too_few(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
+def _too_few(comparisons: Sequence[Comparison], level: float) -> tuple[str, ...]:
     """A warning if there are too few trials for any significant difference; otherwise nothing."""
     paired = [c for c in comparisons if c.design == "paired"]
     if not paired or len(paired) < len(comparisons):
         return ()
     n, tests = max(c.n_a for c in paired), len(paired)
-    fewest = fewest_pairs(1.0 - (1.0 - LEVEL) / tests)
+    fewest = fewest_pairs(1.0 - (1.0 - level) / tests)
     if n >= fewest:
         return ()
     corrected = f", corrected for {tests} comparisons," if tests > 1 else ""
@@ -211,13 +320,11 @@ def _cut_short(group: Group) -> tuple[str, ...]:
     )
 
 
-def _sentences(group: Group, comparisons: Sequence[Comparison]) -> tuple[str, ...]:
+def _sentences(group: Group, comparisons: Sequence[Comparison], level: float) -> tuple[str, ...]:
     if group.sized:
         return (size_sentence(group.configurations),)
     if group.plane is not None:
-        return plane_sentences(group.configurations, comparisons, group.labels)
-    if group.crossed is not None and comparisons:
-        rows, options = group.crossed.rows, group.crossed.options
-        cells = {name: (rows[r], options[o]) for (r, o), name in group.crossed.cells.items()}
-        return option_sentences(comparisons, cells)
-    return answer(group.configurations, comparisons, labels=group.labels)
+        return plane_sentences(group.configurations, comparisons, group.labels, level)
+    if group.confounds:
+        return ()
+    return answer(group.configurations, comparisons, labels=group.labels, level=level)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +20,23 @@ from trl_explore.names import (
     strategy_label,
     symbol,
 )
-from trl_explore.report.labels import (
+from trl_explore.report.factors import (
+    Factor,
+    arguments,
+    canonical,
     configuration_labels,
-    label_parts,
+    factors_of,
     natural_order,
     swept_parameter,
     swept_parameters,
+    value_words,
 )
 from trl_explore.report.layouts import SIZE, Crossed, Plane, crossed, plane
 from trl_explore.report.loading import Job
+from trl_explore.report.questions import Confound, Question, confounds, inferred
+from trl_explore.report.repeats import repeats, set_aside
 from trl_explore.report.style import Style, option_styles, styles
+from trl_explore.report.tables import listed
 from trl_explore.statistics.outcomes import Outcomes, judged
 from trl_explore.statistics.pairing import configuration_key, deduplicate, pool, select
 
@@ -51,6 +59,11 @@ class Group:
         labels: name of a configuration -> label.
         styles: name of a configuration -> style.
         jobs: name of a configuration -> its jobs.
+        factors: the settings that are not the same for all of them.
+        questions: the factors that are varied while all others are held.
+        confounds: the factors that only change together.
+        notes: what was done with pilots and repeats.
+        chosen: whether a study file chose the questions.
         parameter: label of the only parameter in which the configurations differ, or None.
         crossed: layout of rows crossed with options, or None.
         plane: layout of two parameters, or None.
@@ -74,6 +87,21 @@ class Group:
     plane: Plane | None = None
     learned: Sequence[Outcomes] = ()
     sized: bool = False
+    factors: Sequence[Factor] = ()
+    questions: Sequence[Question] = ()
+    confounds: Sequence[Confound] = ()
+    notes: Sequence[str] = ()
+    chosen: bool = False
+
+    @property
+    def env_id(self) -> str:
+        """The id of the environment, without what differs from others of the id."""
+        return str(arguments(self.configurations[0], "env").get("id", "unknown"))
+
+    @property
+    def free(self) -> bool:
+        """Whether the configurations differ in one factor, so that all of them are compared."""
+        return len(self.factors) < 2
 
     @property
     def is_grid(self) -> bool:
@@ -94,17 +122,32 @@ class Group:
         return select(c, index), np.array([s for _, s in known])
 
 
-def group_jobs(jobs: Sequence[Job]) -> list[Group]:
-    """Split jobs into groups by experiment and stopping rule, in the order of the report."""
-    by_rule: dict[tuple[str, int, float, int, str, str], list[Job]] = {}
+def group_jobs(jobs: Sequence[Job], *, together: bool = False) -> list[Group]:
+    """Split jobs into groups by experiment, environment and stopping rule, in the report's order.
+
+    A pilot is left out: all its configurations are in another group, with a cap that is not lower
+    and with more trials. The other group's notes say so.
+
+    Args:
+        jobs: finished jobs.
+        together: whether jobs of different experiments are compared.
+    """
+    places = environment_labels([job.outcomes for job in jobs])
+    by_rule: dict[tuple[Any, ...], list[Job]] = {}
     for job in jobs:
         o = job.outcomes
-        rule = (o.experiment, o.cap, o.threshold, o.window, _environment(o), o.judged_by)
+        experiment = "" if together else o.experiment
+        rule = (experiment, o.cap, o.threshold, o.window, _environment(o), o.judged_by)
         by_rule.setdefault(rule, []).append(job)
+    notes = set_aside(by_rule)
     order = sorted(by_rule, key=lambda rule: (experiment_rank(rule[0]), *map(str, rule)))
     ids = [_id(rule[0]) for rule in order]
     groups = [
-        _group(f"{name}-{k}" if ids.count(name) > 1 else name, by_rule[rule])
+        replace(
+            _group(f"{name}-{k}" if ids.count(name) > 1 else name, by_rule[rule]),
+            environment=places[rule[4]],
+            notes=(*repeats(by_rule[rule]), *notes.get(rule, ())),
+        )
         for k, (name, rule) in enumerate(zip(ids, order, strict=True), start=1)
     ]
     tells: list[Callable[[Group], str]] = [
@@ -113,12 +156,30 @@ def group_jobs(jobs: Sequence[Job]) -> list[Group]:
         lambda g: g.configurations[0].judged_by,
     ]
     for tell in tells:
-        titles = [g.title for g in groups]
         groups = [
-            replace(g, title=f"{g.title}, {tell(g)}") if titles.count(g.title) > 1 else g
+            replace(g, title=f"{g.title}, {tell(g)}")
+            if len({tell(h) for h in groups if h.title == g.title}) > 1
+            else g
             for g in groups
         ]
     return groups
+
+
+def environment_labels(outcomes: Sequence[Outcomes]) -> dict[str, str]:
+    """Canonical text of an environment -> its name, with what differs from others of its id."""
+    flats = {_environment(o): arguments(o, "env") for o in outcomes}
+    found = {}
+    for text, flat in flats.items():
+        alike = [f for f in flats.values() if f.get("id") == flat.get("id")]
+        words = [
+            f"{symbol(f'env.{key}')} = {value_words(value)}"
+            for key, value in flat.items()
+            if key != SIZE.removeprefix("env.")
+            and any(canonical(f.get(key)) != canonical(value) for f in alike)
+        ]
+        name = str(flat.get("id", "unknown"))
+        found[text] = f"{name} ({', '.join(words)})" if words else name
+    return found
 
 
 def _id(experiment: str) -> str:
@@ -128,8 +189,9 @@ def _id(experiment: str) -> str:
 
 
 def _environment(o: Outcomes) -> str:
-    env = o.config.get("env")
-    return str(env.get("id", "unknown")) if isinstance(env, dict) else "unknown"
+    """Canonical text of the environment without the size of its task."""
+    flat = arguments(o, "env")
+    return canonical({k: v for k, v in flat.items() if f"env.{k}" != SIZE})
 
 
 def _group(name: str, jobs: list[Job]) -> Group:
@@ -150,7 +212,11 @@ def _group(name: str, jobs: list[Job]) -> Group:
     learned = _judged(ordered, "learned")
     ordered = _judged(ordered, "passed") or ordered
     first = ordered[0]
-    layout = crossed(ordered)
+    factors, names = factors_of(ordered), [c.name for c in ordered]
+    commands = {c.name: by_name[c.name][0].command for c in ordered}
+    sized = any(f.key == SIZE for f in factors)
+    flat = plane(ordered)
+    layout = None if sized or flat is not None else crossed(ordered)
     if layout is None:
         looks = dict(zip((c.name for c in ordered), styles([c.strategy for c in ordered]),
                          strict=True))  # fmt: skip
@@ -164,16 +230,19 @@ def _group(name: str, jobs: list[Job]) -> Group:
         cap=first.cap,
         threshold=first.threshold,
         window=first.window,
-        environment=_environment(first),
+        environment="",
         configurations=ordered,
         labels=configuration_labels(ordered),
         styles=looks,
         jobs=by_name,
         parameter=swept_parameter(ordered),
         crossed=layout,
-        plane=plane(ordered),
+        plane=flat,
         learned=learned,
-        sized=any(SIZE in words for words in label_parts(ordered).values()),
+        sized=sized,
+        factors=factors,
+        questions=inferred(names, factors),
+        confounds=[] if sized or flat else confounds(names, factors, commands),
     )
 
 
@@ -192,6 +261,10 @@ def _title(experiment: str, configurations: Sequence[Outcomes]) -> str:
     if experiment in EXPERIMENTS:
         return EXPERIMENTS[experiment].title
     named = ", ".join(map(strategy_label, strategies[:4])) + (", …" if len(strategies) > 4 else "")
-    swept = " and ".join(map(symbol, swept_parameters(configurations)))
+    keys = swept_parameters(configurations)
+    swept = listed([symbol(key) for key in keys]) if keys else ""
     what = f"{named}: values of {swept}" if swept else named
+    others = [f.label for f in factors_of(configurations) if f.key != "strategy"]
+    if others and not swept:
+        what = f"{named}: strategy and {listed(others)}"
     return what if experiment == "train" else f"{experiment}: {what}"

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from trl_explore.names import OPTIONS, option_label, option_of, strategy_label, symbol
-from trl_explore.report.labels import label_parts, swept_parameters
+from trl_explore.names import OPTIONS, strategy_label, symbol
+from trl_explore.report.factors import factors_of, label_parts, swept_parameters
 from trl_explore.statistics.outcomes import Outcomes
 
 THESIS: Mapping[str, float] = {"epsilon": 0.0, "temperature": 1.0}
@@ -76,9 +76,15 @@ class Plane:
 
 
 def crossed(configurations: Sequence[Outcomes]) -> Crossed | None:
-    """The layout of configurations that differ in the options of one group and in other factors."""
-    parts = label_parts(configurations)
-    groups = {key for words in parts.values() for key in words if key in OPTIONS}
+    """The layout of configurations that differ in one option and in other factors.
+
+    The options are those of the only group of ``OPTIONS`` that is a factor. Of two factors, the
+    second is the option if none or both are such groups.
+    """
+    factors = factors_of(configurations)
+    groups = [f for f in factors if f.key in OPTIONS]
+    if len(factors) == 2 and len(groups) != 1:
+        groups = [factors[1]]
     if len(groups) != 1:
         return None
     (of,) = groups
@@ -86,16 +92,17 @@ def crossed(configurations: Sequence[Outcomes]) -> Crossed | None:
     options: dict[str, int] = {}
     cells: dict[tuple[int, int], str] = {}
     for c in configurations:
-        words = dict(parts[c.name])
-        option = words.pop(of, "") or option_label(of, option_of(c.config, of))
-        row = rows.setdefault(", ".join(words.values()), len(rows))
-        place = row, options.setdefault(option, len(options))
+        row = ", ".join(w for f in factors if f is not of and (w := f.words[c.name]))
+        place = (
+            rows.setdefault(row, len(rows)),
+            options.setdefault(of.words[c.name], len(options)),
+        )
         if place in cells:
             return None
         cells[place] = c.name
-    if len(rows) < 2 or len(options) < 2:
+    if len(rows) < 2 or len(options) < 2 or len(cells) == len(rows):
         return None
-    return Crossed(of, tuple(rows), tuple(options), cells)
+    return Crossed(of.label, tuple(rows), tuple(options), cells)
 
 
 def plane(configurations: Sequence[Outcomes]) -> Plane | None:
@@ -105,7 +112,7 @@ def plane(configurations: Sequence[Outcomes]) -> Plane | None:
         return None
     points: dict[tuple[float, float], str] = {}
     for c in configurations:
-        values = [c.parameters.get(key) for key in keys]
+        values = [c.parameters.get(key.removeprefix("strategy.")) for key in keys]
         numbers = [v for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
         if len(numbers) < len(values):
             return None
@@ -115,7 +122,7 @@ def plane(configurations: Sequence[Outcomes]) -> Plane | None:
     if min(len(xs), len(ys)) < PLANE_FROM or len(points) < len(configurations):
         return None
     cells = {(xs.index(x), ys.index(y)): name for (x, y), name in points.items()}
-    thesis = [THESIS.get(key, -1.0) for key in keys]
+    thesis = [THESIS.get(key.removeprefix("strategy."), -1.0) for key in keys]
     reference = points.get((thesis[0], thesis[1]))
     return Plane(symbol(keys[0]), symbol(keys[1]), xs, ys, cells, reference)
 

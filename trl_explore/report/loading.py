@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,14 @@ from trl_explore import jobs as results
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.statistics.outcomes import Outcomes, convergence_times
 from trl_explore.statistics.pairing import trial_keys
+
+Say = Callable[[str], None]
+"""Told what is being done, one line per stage."""
+
+
+def silent(stage: str) -> None:
+    """Say nothing."""
+
 
 UNFINISHED = "not finished: still running, or interrupted"
 
@@ -52,7 +60,7 @@ class Loaded:
     gaps: list[Gap]
 
 
-def load(folders: Sequence[Path]) -> Loaded:
+def load(folders: Sequence[Path], say: Say = silent) -> Loaded:
     """Read every finished job at or below the folders; unreadable jobs become gaps.
 
     Raises:
@@ -63,6 +71,7 @@ def load(folders: Sequence[Path]) -> Loaded:
         if not folder.is_dir():
             raise ResultsError(f"{folder}: no such folder")
     found = {job.resolve(): done for f in folders for job, done in results.find_folders(f)}
+    say(f"reading {sum(found.values())} jobs")
     gaps = [Gap(_short(job), UNFINISHED) for job in sorted(found) if not found[job]]
     errors: list[Exception] = []
     jobs = []

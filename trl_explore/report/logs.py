@@ -21,7 +21,7 @@ from trl_explore.logs.runs import Run
 from trl_explore.report.build import PAGE, TABLES, _clear, _fresh, _write, _write_table
 from trl_explore.report.figures.axes import handle, legend_above, new_figure, number, plain_numbers
 from trl_explore.report.page import environment
-from trl_explore.report.style import INK, Style, styles, theme_css, to_png, to_svg, visual_language
+from trl_explore.report.style import INK, Style, drawn_files, styles, theme_css, visual_language
 from trl_explore.report.tables import Column, Record, Table
 from trl_explore.statistics.comparisons import Comparison, Measure, compare_pairs
 from trl_explore.statistics.estimates import LEVEL, Estimate, flat, pass_rate
@@ -43,6 +43,7 @@ class Picture:
     alt: str
     svg: str
     png: bytes
+    pdf: bytes
 
 
 @dataclass(frozen=True)
@@ -160,6 +161,7 @@ def write_page(
     for figure in pictures:
         _write(out / "figures" / f"{figure.id}.svg", figure.svg)
         _fresh(out / "figures" / f"{figure.id}.png").write_bytes(figure.png)
+        _fresh(out / "figures" / f"{figure.id}.pdf").write_bytes(figure.pdf)
     for table in tables:
         _write_table(out / TABLES, table)
     _write(out / PAGE, html)
@@ -409,7 +411,7 @@ def _picture(
     entries = [handle(looks[c.name], c.name[:40]) for c in task.configurations]
     legend_above(ax, entries, 2 if max(len(c.name) for c in task.configurations) < 28 else 1)
     alt = f"{title} of {', '.join(c.name for c in task.configurations)}"
-    return Picture(id, title, caption, alt, to_svg(figure), to_png(figure))
+    return Picture(id, title, caption, alt, **drawn_files(figure))
 
 
 def _draw_curves(ax: Axes, c: Configuration, look: Style) -> None:

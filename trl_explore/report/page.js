@@ -18,6 +18,7 @@
       var button = document.createElement("button");
       button.type = "button";
       button.textContent = heading.textContent;
+      heading.dataset.title = heading.textContent; // printed instead of the button
       heading.textContent = "";
       heading.appendChild(button);
       button.addEventListener("click", function () {

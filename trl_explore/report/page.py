@@ -21,13 +21,18 @@ from trl_explore.report.evidence import Evidence, GroupEvidence
 from trl_explore.report.figures import Drawn, Picture
 from trl_explore.report.groups import Group
 from trl_explore.report.style import inline_svg, theme_css
-from trl_explore.report.tables import Table
+from trl_explore.report.tables import Table, listed
 from trl_explore.report.why import headline
-from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.thesis import NOT_MEASURED
 
 TITLE = "What does the exploration strategy do to learning?"
+MARK = "trl_explore report"
+"""In every page, so that a later report may replace it."""
+INLINE = 1_800_000
+"""Most characters of drawings inside the page; further figures are files beside it."""
+OPEN = 10
+"""Statements that are shown before the rest is folded."""
 PACKAGES = ("numpy", "scipy", "matplotlib")
 
 
@@ -38,6 +43,8 @@ class Content:
     evidence: Evidence
     figures: Mapping[str, Sequence[Drawn]]
     tables: Mapping[str, Sequence[Table]]
+    settings: Table
+    methods: str
     jobs: Table
     gaps: Table
     why: Sequence[Table] = ()
@@ -83,6 +90,8 @@ def environment() -> Environment:
         keep_trailing_newline=True,
     )
     found.globals["inline"] = lambda f: Markup(inline_svg(f.svg, f.id, f.alt))
+    found.globals["inside"] = None  # every drawing is inside the page
+    found.filters["code"] = _code
     return found
 
 
@@ -90,39 +99,51 @@ def page(content: Content) -> str:
     """The HTML page as text."""
     evidence = content.evidence
     parts, main = evidence.groups, evidence.groups[0].group
-    figures = [figure for group in content.figures.values() for figure in group]
+    figures = [figure for part in parts for figure in content.figures[part.group.id]]
     hero = next((f for f in figures if f.kind.hero), None)
-    shown: list[Picture] = [*figures, *content.acting]
+    shown: list[Picture] = [*content.acting, *figures]
+    inside = _inside(([hero] if hero else []) + shown)
     trials = sum(len(c) for part in parts for c in part.group.configurations)
     frames = sum(s.frames_total for part in parts for s in part.summaries)
     environments = dict.fromkeys(part.group.environment for part in parts)
-    factors = dict.fromkeys(p.group.crossed.of for p in parts if p.group.crossed is not None)
     missing = [c for c in evidence.checked if c.finding.verdict == NOT_MEASURED]
-    if 2 * len(missing) <= len(evidence.checked):
-        missing = []
-    return environment().get_template("page.html").render(
-        title=TITLE,
-        css=Markup(_file("page.css") + theme_css(f.svg for f in shown)),
+    known = [c for c in evidence.checked if c not in missing]
+    study = evidence.study
+    said = "the thesis says" if study.claims == "thesis" else "statement"
+    found = environment()
+    found.globals["inside"] = frozenset(f.id for f in shown if f.id in inside)
+    return found.get_template("page.html").render(
+        title=study.title or TITLE,
+        mark=MARK,
+        study=study,
+        css=Markup(_file("page.css") + theme_css(f.svg for f in shown if f.id in inside)),
         script=Markup(_file("page.js")),
         facts=f"{trials:,} trials, {frames:,} frames, {len(evidence.outcomes)} jobs.",
         main=main,
         others=[name for name in environments if name != main.environment],
-        factors=list(factors),
+        differs=_differs(parts),
+        settings=content.settings,
+        notes=[note for part in parts for note in part.group.notes],
+        methods=content.methods,
         episodes=episodes_per_iteration(evidence.outcomes),
         strategies=_strategies(evidence.outcomes),
         gaps=content.gaps,
         answer=evidence.answer,
         map=content.map,
         hero=hero,
-        claims_tally=tally(c.finding.verdict for c in evidence.checked),
-        claims_known=claims_table([c for c in evidence.checked if c not in missing]),
+        claims_tally=tally(c.finding.verdict for c in known),
+        claims=claims_table(known[:OPEN], said=said, title=_statements(study.claims)),
+        claims_more=claims_table(known[OPEN:], id="claims-more", said=said, title="Further ones"),
         claims_missing=claims_table(
-            missing, id="claims-missing", title="Not measured, with the reason"
+            missing, id="claims-missing", title="Not measured, with the reason", said=said
         ),
+        claims_few=len(known) < len(missing),
         why=_why(content, hero),
         sections=[_section(part, content, hero) for part in parts],
-        level=f"{100 * LEVEL:g} %",
+        level=f"{100 * study.level:g} %",
         timed=evidence.timed,
+        thesis=study.claims == "thesis" and bool(known),
+        plane=any(part.group.plane is not None for part in parts),
         shared=[
             f"{'/'.join(s.first)} and {'/'.join(s.second)} ({s.count})"
             for s in evidence.shared
@@ -132,6 +153,36 @@ def page(content: Content) -> str:
         jobs=content.jobs,
         files=shown,
     )  # fmt: skip
+
+
+def _statements(claims: object) -> str:
+    return "The thesis's statements" if claims == "thesis" else "The statements of this study"
+
+
+def _inside(figures: Sequence[Picture]) -> set[str]:
+    """Ids of the drawings that are inside the page: the first ones that fit."""
+    found: set[str] = set()
+    left = INLINE
+    for figure in figures:
+        left -= len(figure.svg) if figure.id not in found else 0
+        if left >= 0:
+            found.add(figure.id)
+    return found
+
+
+def _differs(parts: Sequence[GroupEvidence]) -> str:
+    """The factors of all groups, in words; empty if there are none."""
+    labels = list(dict.fromkeys(f.label for part in parts for f in part.group.factors))
+    return listed(labels) if labels else ""
+
+
+def _code(text: str) -> Markup:
+    """The text, escaped; what stands between backticks is code."""
+    pieces = text.split("`")
+    return Markup("").join(
+        Markup("<code>{}</code>").format(piece) if k % 2 else piece
+        for k, piece in enumerate(pieces)
+    )
 
 
 def episodes_per_iteration(outcomes: Iterable[Outcomes]) -> str:
@@ -196,6 +247,8 @@ def _section(part: GroupEvidence, content: Content, hero: Drawn | None) -> Secti
     here = [f for f in drawn if f not in above]
     main = part is content.evidence.groups[0]  # its sentences are in the answer
     notes = [] if main else list(part.sentences)
+    if part.single and not main:
+        notes = []  # named in the answer
     if part.incomparable:
         notes.append(f"No comparison: {part.incomparable}.")
     absent = []

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from trl_explore.report.evidence import Evidence, GroupEvidence
+from trl_explore.report.evidence import Answered, Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
+from trl_explore.report.questions import quoted, shown
 from trl_explore.report.tables import Column, Record, Table, figure
 from trl_explore.statistics.estimates import flat
 from trl_explore.statistics.power import trials_text, trials_to_settle
@@ -60,12 +62,15 @@ def summary_table(evidence: GroupEvidence) -> Table:
                  main=True)  # fmt: skip
 
 
-def comparison_table(evidence: GroupEvidence, *, learned: bool = False) -> Table:
+def comparison_table(
+    evidence: GroupEvidence, *, learned: bool = False, answered: Answered | None = None
+) -> Table:
     """One row per pair, with the number of trials that would detect the difference.
 
     Args:
         evidence: the results of a group by one measure.
         learned: whether that is what was learned.
+        answered: the question whose pairs are shown; None: the planned pairs of the group.
 
     """
     labels = evidence.group.labels
@@ -73,7 +78,7 @@ def comparison_table(evidence: GroupEvidence, *, learned: bool = False) -> Table
     by = f" {evidence.group.parameter}" if evidence.group.parameter else ""
     records = []
     scores = {(s.a, s.b): s for s in evidence.scores}
-    for c in evidence.comparisons:
+    for c in answered.comparisons if answered else evidence.comparisons:
         needed = trials_to_settle(c.difference, 0.0, min(c.n_a, c.n_b))
         record = {"experiment": evidence.group.experiment} | c.row()
         named = {"a": labels[c.a], "b": labels[c.b], "winner": labels.get(c.winner or "")}
@@ -97,9 +102,13 @@ def comparison_table(evidence: GroupEvidence, *, learned: bool = False) -> Table
     ]  # fmt: skip
     planned = evidence.group.crossed is not None or evidence.group.plane is not None
     title = f"{evidence.group.title}: {'planned pairs' if planned else 'all pairs'}"
+    end = "pairs"
     if learned:
-        title += ", by what was learned"
-    end = "pairs-learned" if learned else "pairs"
+        title, end = f"{title}, by what was learned", "pairs-learned"
+    if answered:
+        title = f"{evidence.group.title}: pairs for the effect of {answered.question.of}"
+        end = "pairs-" + re.sub(r"[^a-z0-9]+", "-", "-".join(
+            factor.key.lower() for factor in answered.question.factors))  # fmt: skip
     return Table(f"{evidence.group.id}-{end}", title, columns, records, main=True)
 
 
@@ -144,8 +153,8 @@ def _cell(s: Summary) -> str:
     low, high = 100 * s.pass_rate.low, 100 * s.pass_rate.high
     mean = s.restricted_mean
     return (
-        f"{s.converged} of {s.n} ({low:.0f} to {high:.0f} %)\nmean {mean.value:,.0f}"
-        f" ({mean.low:,.0f} to {mean.high:,.0f})\nmedian {middle}"
+        f"{s.converged} of {s.n} [{low:.0f}, {high:.0f}] %\nmean {mean.value:,.0f}"
+        f" [{mean.low:,.0f}, {mean.high:,.0f}]\nmedian {middle}"
     )
 
 
@@ -157,6 +166,7 @@ def jobs_table(evidence: Evidence) -> Table:
             for job in part.group.jobs[c.name]:
                 o, source = job.outcomes, job.outcomes.provenance
                 first, last = int(o.trial.min()), int(o.trial.max())
+                words = map(quoted, shown(job.command))
                 records.append(
                     {
                         "experiment": o.experiment,
@@ -172,7 +182,7 @@ def jobs_table(evidence: Evidence) -> Table:
                         "environment": part.group.environment,
                         "collector": source.get("collector"),
                         "batch_seconds": _number(source.get("seconds")),
-                        "command": " ".join(("trl-explore train", *_shown(job.command))),
+                        "command": " ".join(("trl-explore train", *words)),
                     }
                 )
     unique = list({(r["experiment"], r["job"], str(r)): r for r in records}.values())
@@ -200,17 +210,6 @@ def gaps_table(evidence: Evidence) -> Table:
     return Table("missing", "Missing from this report", columns, records)
 
 
-def _shown(command: Sequence[str]) -> list[str]:
-    """The overrides without those for output, threads and restart, quoted for a shell."""
-    skipped = ("output_dir=", "threads=", "restart=")
-    return [_quoted(word) for word in command if not word.startswith(skipped)]
-
-
-def _quoted(word: str) -> str:
-    safe = all(ch.isalnum() or ch in "=,.+-_/:@" for ch in word)
-    return word if safe else "'" + word.replace("'", "'\\''") + "'"
-
-
 def _interval(key: str, text: Any, infinite: str = "∞") -> Any:
     def write(r: Record) -> str:
         value, low, high = r[key], r[f"{key}_low"], r[f"{key}_high"]
@@ -223,7 +222,7 @@ def _interval(key: str, text: Any, infinite: str = "∞") -> Any:
             return f"{main}\n{text(high)} or less"
         if high == math.inf:
             return f"{main}\n{text(low)} or more"
-        return f"{main}\n{text(low)} to {text(high)}"
+        return f"{main}\n[{text(low)}, {text(high)}]"
 
     return write
 
@@ -232,7 +231,7 @@ def _passed(measure: str) -> Callable[[Record], str]:
     def write(r: Record) -> str:
         low, high = 100 * r[f"{measure}pass_rate_low"], 100 * r[f"{measure}pass_rate_high"]
         diverged = f", {r['diverged']} diverged" if r["diverged"] else ""
-        return f"{r[f'{measure}converged']} of {r['n']}{diverged}\n{low:.0f} to {high:.0f} %"
+        return f"{r[f'{measure}converged']} of {r['n']}{diverged}\n[{low:.0f}, {high:.0f}] %"
 
     return write
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from trl_explore.report.tables import figure, interval, negated
+from trl_explore.names import strategy_label
+from trl_explore.report.groups import Group
+from trl_explore.report.questions import Confound, Question
+from trl_explore.report.tables import MOST, figure, interval, listed, negated, some
 from trl_explore.statistics.comparisons import Comparison
 from trl_explore.statistics.estimates import LEVEL, pass_rate
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.power import trials_text
 from trl_explore.thesis import FAILS, HOLDS, NOT_MEASURED, OPEN, Checked
 
-MOST = 6
-"""Most names that a sentence lists."""
+BLOCKS = 4
+"""Most blocks of a question that its sentence speaks of."""
 
 
 def answer(
@@ -20,6 +23,7 @@ def answer(
     comparisons: Sequence[Comparison],
     *,
     labels: Mapping[str, str] | None = None,
+    level: float = LEVEL,
 ) -> tuple[str, str]:
     """State which configuration converges fastest, and which differences are significant.
 
@@ -31,6 +35,7 @@ def answer(
         configurations: any number of configurations of one experiment.
         comparisons: ``compare_all`` of them; empty if they cannot be compared.
         labels: text to show instead of a configuration's name.
+        level: confidence level.
 
     Returns:
         Two sentences of plain text, not escaped.
@@ -38,16 +43,16 @@ def answer(
     """
     name = {c.name: (labels or {}).get(c.name, c.name) for c in configurations}
     return (
-        _fastest(configurations, comparisons, name),
+        _fastest(configurations, comparisons, name, level),
         _differences(configurations, comparisons, name),
     )
 
 
-def verdicts(checked: Sequence[Checked]) -> str:
-    """State how many of the thesis's statements hold, do not hold, and are open."""
+def verdicts(checked: Sequence[Checked], whose: str = "thesis") -> tuple[str, ...]:
+    """State how many of the statements hold, do not hold, and are open; nothing if none applies."""
     measured = [c for c in checked if c.finding.verdict != NOT_MEASURED]
     if not measured:
-        return "None of the thesis's statements could be checked with these data."
+        return ()
     by = {v: [c for c in checked if c.finding.verdict == v] for v in (HOLDS, FAILS, OPEN)}
     parts = [_count(len(by[HOLDS]), "holds", "hold")]
     refuted = [f"“{c.claim.statement.rstrip('.')}”" for c in by[FAILS]]
@@ -62,7 +67,86 @@ def verdicts(checked: Sequence[Checked]) -> str:
     missing = len(checked) - len(measured)
     if missing:
         parts.append(_count(missing, "was not measured", "were not measured"))
-    return f"Of the thesis's {len(checked)} statements, {_list(parts)}."
+    many = "statement" if len(checked) == 1 else "statements"
+    return (f"Of the {whose}'s {len(checked)} {many}, {listed(parts)}.",)
+
+
+def question_sentence(
+    question: Question, comparisons: Sequence[Comparison], by_name: Mapping[str, Outcomes]
+) -> str:
+    """The effect of a factor in each block of configurations that agree in everything else.
+
+    The block with the largest significant difference comes first.
+    """
+    said = []
+    for block in question.blocks:
+        own = [c for c in comparisons if c.a in block.names and c.b in block.names]
+        real = [abs(c.difference.value) for c in own if c.winner is not None]
+        words = {name: question.word(name) for name in block.names}
+        text = _block(own, [by_name[n] for n in block.names], words)
+        said.append((-max(real, default=0.0), f"{block.where}: {text}" if block.where else text))
+    texts = [text for _, text in sorted(said, key=lambda pair: pair[0])]
+    more = f"; and {len(texts) - BLOCKS} more" if len(texts) > BLOCKS else ""
+    return f"The effect of {question.of}: {'; '.join(texts[:BLOCKS])}{more}."
+
+
+def _block(
+    comparisons: Sequence[Comparison],
+    configurations: Sequence[Outcomes],
+    words: Mapping[str, str],
+) -> str:
+    did = _did(configurations)
+    means = {c.name: float(c.durations.mean()) for c in configurations}
+    passing = [c for c in configurations if c.converged.any()]
+    if not passing:
+        return f"no trial {did} under {some([words[c.name] for c in configurations])}"
+    best, *rest = sorted(means, key=lambda name: means[name])
+    equals = [words[n] for n in rest if _winner(best, n, comparisons) != best]
+    second = rest[0]
+    pair = next(c for c in comparisons if {c.a, c.b} == {best, second})
+    fewer = interval(pair.difference if pair.a == second else negated(pair.difference))
+    last = f", and {words[rest[-1]]} {means[rest[-1]]:,.0f}" if len(rest) > 1 else ""
+    if not equals:
+        return (
+            f"{words[best]} is fastest, {means[best]:,.0f} iterations, {fewer} fewer than"
+            f" {words[second]}{last}"
+        )
+    return (
+        f"{words[best]} has the smallest mean, {means[best]:,.0f} iterations, but is not"
+        f" significantly faster than {some(equals)} ({fewer} fewer than {words[second]}){last}"
+    )
+
+
+def confounded_sentence(confound: Confound, group: Group) -> str:
+    """What cannot be separated, and the jobs that would separate it."""
+    by_name = {c.name: c for c in group.configurations}
+    called = [f"“{group.labels[name]}”" for name in confound.names]
+    passed = [f"{int(c.converged.sum())} of {len(c)}" for c in (by_name[n] for n in confound.names)]
+    text = (
+        f"{some(called)} differ in {listed(confound.factors)} at once, so these are confounded: no"
+        f" difference between them can be ascribed to one of the {len(confound.factors)}"
+        f" ({_did(group.configurations)}: {', '.join(passed[:MOST])} trials)."
+    )
+    if not confound.commands:
+        return f"{text} Jobs that change one of these at a time would separate them."
+    runs = listed([f"`{command}`" for command in confound.commands[:3]])
+    return f"{text} To separate them, also run {runs}."
+
+
+def alone(groups: Sequence[Group]) -> tuple[str, ...]:
+    """The configurations that nothing can be compared with; empty for none."""
+    names = [
+        f"{strategy_label(g.configurations[0].strategy)} ({g.environment}, cap {g.cap:,}:"
+        f" {int(g.configurations[0].converged.sum())} of {len(g.configurations[0])} trials"
+        f" {_did(g.configurations)})"
+        for g in groups
+    ]
+    if not names:
+        return ()
+    return (
+        "Compared with nothing, because no other job has the same environment and stopping rule:"
+        f" {some(names)}.",
+    )
 
 
 def option_sentences(
@@ -90,16 +174,16 @@ def option_sentences(
                 if c.winner == (c.b if sign > 0 else c.a)
             ]
             if rows:
-                parts.append(f"{word} iterations under {_some(rows)}")
+                parts.append(f"{word} iterations under {some(rows)}")
         same = [r for r, c in found if _identical(c)]
         if same:
-            parts.append(f"identical trials under {_some(same)}")
+            parts.append(f"identical trials under {some(same)}")
         never = [r for r, c in found if _never(c)]
         if never:
-            parts.append(f"no trial passes with either under {_some(never)}")
+            parts.append(f"no trial passes with either under {some(never)}")
         unclear = [r for r, c in found if c.winner is None and not _identical(c) and not _never(c)]
         if unclear:
-            parts.append(f"no significant difference under {_some(unclear)}")
+            parts.append(f"no significant difference under {some(unclear)}")
         sentences.append(f"{_capital(option)} against {first}: {'; '.join(parts)}.")
     return tuple(sentences)
 
@@ -147,21 +231,22 @@ def plane_sentences(
     configurations: Sequence[Outcomes],
     comparisons: Sequence[Comparison],
     labels: Mapping[str, str],
+    level: float = LEVEL,
 ) -> tuple[str, ...]:
     """State which points of a plane pass, which is fastest, and which beat the reference."""
-    rates = [pass_rate(int(c.converged.sum()), len(c)) for c in configurations]
+    rates = [pass_rate(int(c.converged.sum()), len(c), level=level) for c in configurations]
     best = min(configurations, key=lambda c: float(c.durations.mean()))
     text = (
         f"Of {len(configurations)} points, {sum(r.above(0.8) for r in rates)} pass in more than"
         f" 80 % of trials and {sum(r.below(0.2) for r in rates)} in less than 20 % (intervals of"
-        f" {100 * LEVEL:g} %). {_capital(labels[best.name])} has the smallest mean,"
+        f" {100 * level:g} %). {_capital(labels[best.name])} has the smallest mean,"
         f" {best.durations.mean():.0f} iterations; as the best of many, it is optimistic."
     )
     if not comparisons:
         return (text,)
     faster = [c for c in comparisons if c.winner == c.b]
     slower = [c for c in comparisons if c.winner == c.a]
-    named = f": {_some([labels[c.b] for c in faster])}" if faster else ""
+    named = f": {some([labels[c.b] for c in faster])}" if faster else ""
     return (
         text,
         f"Against {labels[comparisons[0].a]}, the thesis’s softmax, {len(faster)} of"
@@ -174,12 +259,13 @@ def _fastest(
     configurations: Sequence[Outcomes],
     comparisons: Sequence[Comparison],
     name: Mapping[str, str],
+    level: float,
 ) -> str:
     if not configurations:
         return "No finished configuration was found."
     if len(configurations) == 1:
         only = configurations[0]
-        passes = _passes(only)
+        passes = _passes(only, level)
         return f"Only {name[only.name]} was run: {passes}. There is nothing to compare it to."
     passing = [c for c in configurations if c.converged.any()]
     if not passing:
@@ -195,11 +281,11 @@ def _fastest(
     rivals = [c for c in configurations if c is not best]
     equals = [c for c in rivals if _winner(best.name, c.name, comparisons) != best.name]
     if equals:
-        others = _list([name[c.name] for c in equals])
+        others = some([name[c.name] for c in equals])
         return (
             f"No single configuration of {len(configurations)} is fastest: {name[best.name]}"
             f" has the smallest mean number of iterations, but does not differ significantly from"
-            f" {others} at the {100 * LEVEL:g} % level."
+            f" {others} at the {100 * level:g} % level."
         )
     second = min(rivals, key=lambda c: float(c.durations.mean()))
     margin = next(c for c in comparisons if {c.a, c.b} == {best.name, second.name})
@@ -212,7 +298,7 @@ def _fastest(
         f" {best.cap}), {-sign * margin.difference.value:.0f} fewer than the next,"
         f" {name[second.name]} ({100 * margin.difference.level:.3g} % interval {low:.0f} to"
         f" {high:.0f}), and"
-        f" {_passes(best)}."
+        f" {_passes(best, level)}."
     )
 
 
@@ -220,7 +306,7 @@ def _differences(
     configurations: Sequence[Outcomes], comparisons: Sequence[Comparison], name: Mapping[str, str]
 ) -> str:
     failing = [name[c.name] for c in configurations if not c.converged.any()]
-    never = f"{_list(failing)} never {_did(configurations)}" if failing else ""
+    never = f"{some(failing)} never {_did(configurations)}" if failing else ""
     if not comparisons:
         return f"No differences were tested{f', and {never}' if never else ''}."
     real = [c for c in comparisons if c.winner is not None]
@@ -241,14 +327,14 @@ def _winner(a: str, b: str, comparisons: Sequence[Comparison]) -> str | None:
     return next((c.winner for c in comparisons if {c.a, c.b} == {a, b}), None)
 
 
-def _passes(c: Outcomes) -> str:
+def _passes(c: Outcomes, level: float) -> str:
     k, n = int(c.converged.sum()), len(c)
     if n == 0:
         return "it has no trials"
-    rate = pass_rate(k, n)
+    rate = pass_rate(k, n, level=level)
     bounds = f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %"
     verb = "learns" if c.measure == "learned" else "passes"
-    return f"it {verb} in {k} of {n} trials ({100 * LEVEL:g} % interval {bounds})"
+    return f"it {verb} in {k} of {n} trials ({100 * level:g} % interval {bounds})"
 
 
 def _did(configurations: Sequence[Outcomes]) -> str:
@@ -262,14 +348,6 @@ def _identical(c: Comparison) -> bool:
 
 def _never(c: Comparison) -> bool:
     return c.mean_a == c.mean_b == c.cap
-
-
-def _some(words: Sequence[str]) -> str:
-    return _list([*words[:MOST], f"{len(words) - MOST} more"] if len(words) > MOST else words)
-
-
-def _list(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
 
 
 def _count(n: int, one: str, many: str) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import rgb_to_hsv, to_hex, to_rgb
 from matplotlib.figure import Figure
@@ -258,6 +259,20 @@ def to_png(figure: Figure) -> bytes:
     finally:
         figure.set_dpi(old)
     return buffer.getvalue()
+
+
+def to_pdf(figure: Figure) -> bytes:
+    """The figure as PDF with embedded TrueType fonts, without dates."""
+    buffer = io.BytesIO()
+    with mpl.rc_context({"pdf.fonttype": 42, "text.parse_math": False}), _any_glyph():
+        metadata = {"CreationDate": None, "Creator": "trl_explore", "Producer": None}
+        FigureCanvasPdf(figure).print_pdf(buffer, metadata=metadata)
+    return buffer.getvalue()
+
+
+def drawn_files(figure: Figure) -> dict[str, Any]:
+    """The figure in every format: ``svg``, ``png`` and ``pdf``."""
+    return {"svg": to_svg(figure), "png": to_png(figure), "pdf": to_pdf(figure)}
 
 
 def inline_svg(svg: str, name: str, alt: str) -> str:

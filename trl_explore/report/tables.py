@@ -16,6 +16,8 @@ import pandas as pd
 from trl_explore.statistics.estimates import Estimate
 
 Record = Mapping[str, Any]
+MOST = 6
+"""Most names that a sentence lists."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,26 @@ _LATEX = {
 def _latex(text: str) -> str:
     """Escape text for LaTeX: no commands, no comments, no line breaks."""
     return "".join(_LATEX.get(c, c if c.isprintable() else " ") for c in text)
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a list in a sentence.
+
+    >>> listed(["a", "b", "c"])
+    'a, b and c'
+    """
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
+
+
+def some(words: Sequence[str]) -> str:
+    """Words as a list; of more than ``MOST`` different ones, the first and a count.
+
+    >>> some([str(k) for k in range(9)])
+    '0, 1, 2, 3, 4, 5 and 3 more'
+    """
+    words = list(dict.fromkeys(words))
+    more = [f"{len(words) - MOST} more"] * (len(words) > MOST)
+    return listed([*words[:MOST], *more])
 
 
 def figure(x: float) -> str:

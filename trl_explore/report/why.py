@@ -11,6 +11,9 @@ from trl_explore.report.decomposition import QUANTITIES, Decomposition, Parts
 from trl_explore.report.tables import Column, Record, Table, figure, interval, p_value, percent
 from trl_explore.statistics.estimates import Estimate, flat
 
+MOST = 4
+"""Most strategies that a sentence speaks of: those that differ most from softmax."""
+
 
 class Words(NamedTuple):
     """How a quantity is spoken of: "ε-greedy *needs* 30 *iterations* *fewer* than softmax"."""
@@ -45,6 +48,7 @@ def _acting_said(found: Sequence[Decomposition]) -> str:
     if not known:
         return ""
     known += [("softmax", a) for d in found[:1] if (a := d.acting.get("reference"))]
+    known = known[:MOST] + known[-1:] if len(known) > MOST + 1 else known
     first, *others = known
     said = [
         f"{first[0]} scores {figure(first[1].behaved.value)} with its exploration and"
@@ -62,6 +66,7 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
     if not parts:
         return ""
     words, said = WORDS[quantity], []
+    parts, rest = _largest(parts)
     for strategy, p in parts:
         more = "more" if p.gap.value > 0 else words.fewer
         whole = (
@@ -81,16 +86,16 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
             said.append(f"{low} to {high} of {whole}")
     return (
         "Bias: a gradient that treats the actions as if they came from the policy is biased; of the"
-        f" {words.name}, this explains {'; '.join(said)}."
+        f" {words.name}, this explains {'; '.join(said)}{rest}."
     )
 
 
 def _data_said(found: Sequence[Decomposition]) -> str:
     quantity, parts = chosen_quantity(found, ["learning", "height"])
     words, said = WORDS[quantity], []
+    parts, rest = _largest([(strategy, p) for strategy, p in parts if p.data is not None])
     for strategy, p in parts:
-        if p.data is None:
-            continue
+        assert p.data is not None
         if p.told_apart:
             more = "more" if p.data.value > 0 else words.fewer
             low, high = sorted((abs(p.data.low), abs(p.data.high)))
@@ -104,8 +109,16 @@ def _data_said(found: Sequence[Decomposition]) -> str:
         return ""
     return (
         "Data: what is left with corrected gradients is the effect of exploration proper. By the"
-        f" {words.name}, {'; '.join(said)}."
+        f" {words.name}, {'; '.join(said)}{rest}."
     )
+
+
+def _largest(parts: Sequence[tuple[str, Parts]]) -> tuple[list[tuple[str, Parts]], str]:
+    """The strategies that differ most from softmax, and how many others there are, in words."""
+    if len(parts) <= MOST:
+        return list(parts), ""
+    shown = sorted(parts, key=lambda pair: -abs(pair[1].gap.value))[:MOST]
+    return shown, f"; the table has {len(parts) - MOST} more"
 
 
 def chosen_quantity(

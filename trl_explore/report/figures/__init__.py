@@ -20,7 +20,7 @@ from trl_explore.report.figures import (
     trials,
 )
 from trl_explore.report.figures.axes import Kind
-from trl_explore.report.style import to_png, to_svg, visual_language
+from trl_explore.report.style import drawn_files, visual_language
 
 KINDS: tuple[Kind, ...] = (
     maps.PASS,
@@ -59,6 +59,7 @@ class Picture:
     alt: str
     svg: str
     png: bytes
+    pdf: bytes
     thesis: str | None = None
 
 
@@ -77,7 +78,7 @@ def draw_all(evidence: GroupEvidence) -> Iterator[Drawn]:
             continue
         with visual_language():
             figure = kind.draw(evidence)
-            svg, png = to_svg(figure), to_png(figure)
+            files = drawn_files(figure)
         caption = kind.caption(evidence)
         thesis = kind.thesis.get(group.experiment)
         number = f"{thesis}-" if thesis else ""
@@ -88,8 +89,7 @@ def draw_all(evidence: GroupEvidence) -> Iterator[Drawn]:
             caption=caption,
             alt=f"{kind.title}, {group.title}. {caption}",
             thesis=thesis,
-            svg=svg,
-            png=png,
+            **files,
         )
 
 
@@ -101,6 +101,6 @@ def draw_why(found: Sequence[Decomposition]) -> Iterator[Picture]:
             continue
         with visual_language():
             figure = differences.draw_acting(here)
-            svg, png = to_svg(figure), to_png(figure)
+            files = drawn_files(figure)
         caption, title = differences.acting_caption(here), differences.ACTING
-        yield Picture(f"why-acting-{k + 1}", title, caption, f"{title}. {caption}", svg, png)
+        yield Picture(f"why-acting-{k + 1}", title, caption, f"{title}. {caption}", **files)

@@ -106,7 +106,7 @@ def _draw_panel(ax: Axes, title: str, panel: Lines, e: GroupEvidence) -> None:
         rows = np.full((~known).sum(), cap * OVER ** (k + 1))
         ax.plot(sizes[~known], rows, ls="", markerfacecolor="none", **look)
     ax.axhline(cap, color=INK, lw=0.8, zorder=1)
-    if e.group.environment == EPISODES_OF_UNIFORM:
+    if e.group.env_id == EPISODES_OF_UNIFORM:
         ends = np.linspace(ticks[0], min(ticks[-1], math.log2(cap / math.log(2))), 50)
         ax.plot(ends, math.log(2) * 2.0**ends, color=INK, lw=1.2, ls=(0, (4, 3)), zorder=2)
     ax.set_title(title, loc="left", color=INK)
@@ -140,7 +140,7 @@ def _quantity(e: GroupEvidence) -> str:
 
 def _caption(e: GroupEvidence) -> str:
     uniform = ""
-    if e.group.environment == EPISODES_OF_UNIFORM:
+    if e.group.env_id == EPISODES_OF_UNIFORM:
         uniform = (
             " Dashed: the median of uniformly random actions, 2^size · ln 2; one of the 2^size"
             " sequences of actions has the reward."

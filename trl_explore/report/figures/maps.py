@@ -168,7 +168,7 @@ def _chosen(iterations: NDArray[np.int64]) -> list[int]:
 
 
 def _draw_visits(e: GroupEvidence) -> Figure:
-    names, plane = _names(e), PLANES.get(e.group.environment)
+    names, plane = _names(e), PLANES.get(e.group.env_id)
     rows, columns = e.traces.visits[names[0]]["visits"].shape[1:]
     height = min(1.5, max(0.35, WIDTH / (COLUMNS + 1) * rows / columns))
     figure = new_figure(1.3 + (height + 0.25) * len(names))
@@ -205,7 +205,7 @@ def _visits_caption(e: GroupEvidence) -> str:
         cells = e.traces.visits[name]["reached"][-1]
         return f"{(cells > 0).sum()} of {cells.size}" if name in e.traces.visits else "not recorded"
 
-    what = "states" if PLANES.get(e.group.environment) is None else "cells"
+    what = "states" if PLANES.get(e.group.env_id) is None else "cells"
     return (
         "Share of the frames of all trials in each state, from the first iteration to the one over"
         f" the map (logarithmic colours; white: never). Reached by any trial at the end, {what}:"

@@ -1,4 +1,4 @@
-from trl_explore.report.labels import configuration_labels, natural_order, swept_parameter
+from trl_explore.report.factors import configuration_labels, natural_order, swept_parameter
 
 
 def test_strategies_are_called_by_their_names(make):
@@ -28,11 +28,15 @@ def test_schedules_are_named_with_their_parameter(make):
         )
 
     jobs = [job(initial=value, final=0.5) for value in (2.0, 5.0)]
-    assert list(configuration_labels(jobs).values()) == ["initial T = 2", "initial T = 5"]
-    assert swept_parameter(jobs) == "initial T"
+    assert list(configuration_labels(jobs).values()) == [
+        "T = 2 → 0.5 (linear)", "T = 5 → 0.5 (linear)"
+    ]  # fmt: skip
+    assert swept_parameter(jobs) == "T"
     jobs = [job(kind="Linear", initial=2.0), job(kind="Cosine", initial=2.0, final=1.0)]
     labels = list(configuration_labels(jobs).values())
-    assert [label.split(",")[0] for label in labels] == ["T = Linear", "T = Cosine"]
+    assert labels == ["T = 2 → (linear)", "T = 2 → 1 (cosine)"]
+    jobs = [make([200], name="fixed", parameters={"temperature": 1.0}), job(initial=2.0, final=0.5)]
+    assert list(configuration_labels(jobs).values()) == ["T = 1", "T = 2 → 0.5 (linear)"]
 
 
 def test_the_bias_of_another_strategy_is_named_with_its_parameter(make):

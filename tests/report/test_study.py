@@ -1,0 +1,136 @@
+"""A study file: what it asks, what it claims, and the answers to wrong values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from trl_explore.jobs.columns import ResultsError
+from trl_explore.report.build import build_report
+from trl_explore.report.evidence import Evidence, gather
+from trl_explore.report.loading import load
+from trl_explore.report.study import read_study
+from trl_explore.thesis import FAILS, HOLDS, NOT_MEASURED, Claim
+
+FAST = [150 + k for k in range(20)]
+SLOW = [500 + 7 * k for k in range(20)]
+
+STUDY = """
+title: Softmax or ε-greedy?
+question: Which one learns faster?
+configurations: [runs/*]
+compare:
+  - effect_of: strategy
+    at_each: correction
+  - [{strategy: softmax, correction: none}, {strategy: softmax, correction: per_step}]
+measures: [passed]
+level: 0.9
+leave_out: ["*pilot*"]
+claims:
+  - statement: Softmax passes almost always.
+    passes: {of: {strategy: softmax, correction: none}, above: 0.8}
+  - statement: Softmax needs more iterations.
+    less: {first: {strategy: epsilon_greedy, correction: none},
+           second: {strategy: softmax, correction: none}}
+  - statement: Both of these.
+    all:
+      - mean: {of: {strategy: softmax, correction: none}, low: 100, high: 400}
+      - not: {never_passes: {of: {strategy: softmax, correction: none}}}
+  - statement: Of nothing.
+    passes: {of: argmax, below: 0.5}
+  - thesis: score.softmax_passes_consistently
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path, make_job) -> Path:
+    sweep = tmp_path / "runs" / "train"
+    for strategy, taken, own in (
+        ("softmax", FAST, {"temperature": 1.0}), ("epsilon_greedy", SLOW, {"epsilon": 0.3}),
+    ):  # fmt: skip
+        for correction in ("NoCorrection", "PerStep"):
+            make_job(sweep, f"{strategy},{correction}", taken, strategy=strategy, parameters=own,
+                     groups={"correction": correction})  # fmt: skip
+    make_job(sweep, "pilot", [150], strategy="argmax", cap=500)
+    path = tmp_path / "mine.yaml"
+    path.write_text(STUDY, encoding="utf-8")
+    return path
+
+
+def ask(path: Path) -> Evidence:
+    asked = read_study(path)
+    return gather(load(asked.folders), asked)
+
+
+def test_a_study_asks_its_own_questions_and_checks_its_own_claims(study, tmp_path):
+    asked = read_study(study)
+    found = gather(load(asked.folders), asked)
+    (group,) = found.groups
+    assert [a.question.of for a in group.answered] == ["strategy", "correction"]
+    assert [len(a.comparisons) for a in group.answered] == [2, 1]
+    assert group.comparisons[0].difference.level == pytest.approx(1 - 0.1 / 3)
+    assert [c.finding.verdict for c in found.checked] == [
+        HOLDS, FAILS, HOLDS, NOT_MEASURED, NOT_MEASURED
+    ]  # fmt: skip
+    page, _ = build_report(asked.folders, tmp_path / "out", asked)
+    html = page.read_text(encoding="utf-8")
+    assert "<title>Softmax or ε-greedy?</title>" in html
+    assert "Which one learns faster?" in html
+    assert "Softmax passes almost always." in html
+    assert "inferred" not in html
+    files = {p.name for p in (tmp_path / "out").rglob("*") if p.is_file()}
+    assert {"methods.md", "references.bib", "settings.csv", "settings.tex"} <= files
+    assert any(name.endswith(".pdf") for name in files)
+    latex = next((tmp_path / "out" / "tables").glob("*-configurations.tex")).read_text()
+    assert r"20 of 20 [88, 100] \%" in latex
+    methods = (tmp_path / "out" / "methods.md").read_text(encoding="utf-8")
+    assert "80 independent agents (4 configurations" in methods
+    assert "differed in strategy and correction" in methods
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("measures: [passed]", "measures: [speed]", ["measures", "'speed'", "passed, score"]),
+        ("level: 0.9", "level: 95", ["level=95", "0.5 to below 1"]),
+        ("title:", "titel:", ["titel", "the keys are title"]),
+        ("[runs/*]", "[nothing/*]", ["configurations='nothing/*'", "no such folder"]),
+        ("effect_of: strategy", "effect_of: stratgy", ["compare[0]", "'stratgy'", "correction"]),
+        ("effect_of:", "effects:", ["compare[0]", "effect_of: FACTOR"]),
+        ("above: 0.8", "above: 80", ["claims[0].passes.above=80", "between 0 and 1"]),
+        ("passes: {of: argmax", "pass: {of: argmax", ["claims[3]", "passes, never_passes"]),
+        ("*pilot*", "*nobody*", ["leave_out", "fits no job"]),
+        ("{strategy: softmax, correction: per_step}]", "vdbe]", ["compare[1]", "'vdbe' fits 0"]),
+        ("score.softmax_passes_consistently", "nothing", ["claims[4]", "score.random_never"]),
+        ("claims:", "claims: {", ["not readable as YAML"]),
+    ],
+)
+def test_a_wrong_value_is_one_line_with_key_value_and_what_is_allowed(study, old, new, words):
+    study.write_text(STUDY.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ResultsError) as error:
+        ask(study)
+    text = str(error.value)
+    assert "\n" not in text
+    for word in ("mine.yaml", *words):
+        assert word in text
+
+
+def test_factors_that_change_together_can_be_asked_for_as_one(study):
+    text = STUDY.replace("effect_of: strategy\n    at_each: correction",
+                         "effect_of: [strategy, correction]")  # fmt: skip
+    study.write_text(text, encoding="utf-8")
+    asked = read_study(study)
+    group = gather(load(asked.folders), asked).groups[0]
+    assert group.answered[0].question.of == "strategy and correction together"
+    assert len(group.answered[0].comparisons) == 6
+
+
+def test_every_claim_of_a_study_has_a_definition(study):
+    from trl_explore.report.own_claims import own_claims
+
+    asked = read_study(study)
+    assert isinstance(asked.claims, tuple)
+    claims: list[Claim] = own_claims(asked.claims, "mine")
+    assert all(claim.definition.endswith(".") for claim in claims)
+    assert len(claims) == 5
