@@ -1,5 +1,7 @@
 # make thesis: build the environment, run the thesis's experiments, write the report
 # make test:   run the linter, the type checker and all tests
+# make lesson: open the lesson, a notebook of 45 minutes, in a browser
+# make docs:   build the documentation; open site/index.html
 
 PYTHON ?= python3
 VENV := .venv
@@ -10,7 +12,7 @@ OUT ?= outputs
 KILLS ?= 300
 SEED ?= 0
 
-.PHONY: help env thesis test lint bench soak clean
+.PHONY: help env thesis test lint lesson docs bench soak clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -39,6 +41,13 @@ lint: $(READY)
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+lesson: $(READY)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[lesson]'
+	cd lesson && ../$(BIN)/jupyter lab lesson.ipynb
+
+docs: $(READY)
+	$(BIN)/mkdocs build --quiet
 
 # make bench:  measure the speed and write results.md, stepping.md and networks.md in benchmarks/
 bench: $(READY)

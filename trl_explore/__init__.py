@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from trl_explore.collectors import auto_collector
+    from trl_explore.config.composing import train
     from trl_explore.envs import make_env
-    from trl_explore.jobs.reading import read_frame
+    from trl_explore.jobs.frame import read_frame
     from trl_explore.objectives import ReinforceLoss
     from trl_explore.policies import LinearPolicy
     from trl_explore.strategies import (
@@ -37,6 +38,7 @@ __all__ = [
     "auto_collector",
     "make_env",
     "read_frame",
+    "train",
 ]
 
 _PLACES = {
@@ -45,7 +47,8 @@ _PLACES = {
     "Trainer": "training.trainer",
     "auto_collector": "collectors",
     "make_env": "envs",
-    "read_frame": "jobs.reading",
+    "read_frame": "jobs.frame",
+    "train": "config.composing",
 }
 """The module of each name that is not a strategy."""
 

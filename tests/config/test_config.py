@@ -443,6 +443,8 @@ WRONG = [
     (("evaluate_every=often",), "evaluate_every ... auto or an integer ... 'often'"),
     (("evaluate_every=2.5",), "evaluate_every ... 2.5"),
     (("evaluate_episodes=0",), "evaluate_episodes ... >= 1 ... 0"),
+    (("keep_weights=10",), "keep_weights ... list ... [0,10,50] ... 10"),
+    (("keep_weights=[5,11]", "max_iterations=10"), "keep_weights ... <= 10 ... 11"),
     (("evaluate_confirm=19",), "evaluate_confirm ... >= 20 ... 19"),
     (("evaluate_policy=random",), "evaluate_policy ... greedy, sampled ... 'random'"),
     (("stop_on=evaluation",), "stop_on=evaluation is now stop_on=learned"),

@@ -10,23 +10,11 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from tests.jobs.written import CONFIG, WEIGHTS, record, write
 from trl_explore import jobs as results
-from trl_explore.jobs import columns, writing
+from trl_explore.jobs import files, writing
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.training.record import Trials
-
-CONFIG = {
-    "seed": 5,
-    "trials": 3,
-    "first_trial": 10,
-    "threads": 1,
-    "max_iterations": 4,
-    "score_threshold": 5.0,
-    "score_window": 2,
-    "strategy": {"_target_": "somewhere", "epsilon": 0.1},
-    "env": {"id": "CartPole-v1"},
-}
-WEIGHTS = {"weight": torch.arange(24.0).reshape(3, 2, 4).transpose(1, 2)}  # not contiguous
 
 TRIALS_CSV = """\
 trial,seed,iterations,converged,score,frames,seconds,status,passed,iterations_to_pass,frames_to_pass
@@ -51,32 +39,6 @@ FILES = ["episodes.csv", "run.json", "scalars", "trials.csv", "weights.safetenso
 
 def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
-
-
-def record() -> Trials:
-    """One trial of each status: 10 diverges, 11 converges, 12 is capped."""
-    trials = Trials(3, max_iterations=4, score_threshold=5, score_window=2)
-    for scores, frames, seconds, diverged in (
-        ([1, 2, 3], [10, 20, 30], 0.5, [False] * 3),
-        ([2, 9.2, 4], [11, 21, 31], 1.0, [False] * 3),
-        ([3, 5], [12, 32], 1.5, [True, False]),
-        ([3], [33], 2.0, [False]),
-    ):
-        trials.record(np.array(scores, np.float64), np.array(frames), np.array(diverged), seconds)
-    return trials
-
-
-def write(folder: Path, **options) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    arguments = {
-        "config": CONFIG,
-        "experiment": "thesis",
-        "strategy": "epsilon_greedy",
-        "collector": "TorchRLCollector",
-        "seconds": 2.25,
-    }
-    results.write_job(folder, record(), WEIGHTS, **{**arguments, **options})
-    return folder
 
 
 @pytest.fixture
@@ -265,7 +227,7 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path, monkeypatch):
         if old:
             (tmp_path / "file").write_text(old)
         with pytest.raises(OSError, match="disk full"):
-            columns.write_whole(tmp_path / "file", b"half of")
+            files.write_whole(tmp_path / "file", b"half of")
         assert names(tmp_path) == ([] if old is None else ["file"])
     assert (tmp_path / "file").read_text() == "old"
 
@@ -364,33 +326,6 @@ def test_an_empty_folder(tmp_path):
         results.read_job(tmp_path)
 
 
-def test_a_sweep_in_one_frame(tmp_path):
-    sweep = tmp_path / "sweep"
-    write(sweep / "epsilon_greedy,epsilon=0.1")
-    write(
-        sweep / "softmax", strategy="softmax", config={**CONFIG, "strategy": {"temperature": 2.0}}
-    )
-    (sweep / "unfinished").mkdir()
-    assert [path.name for path in results.find_jobs(tmp_path)] == [
-        "epsilon_greedy,epsilon=0.1",
-        "softmax",
-    ]
-    jobs = results.read_jobs([sweep / "softmax", tmp_path])  # found twice, read once
-    assert [job.name for job in jobs] == ["softmax", "epsilon_greedy,epsilon=0.1"]
-    frame = results.read_frame([sweep, tmp_path])
-    assert len(frame) == 6
-    assert set(frame) == {
-        "experiment", "job", "strategy", "strategy.epsilon", "strategy.temperature",
-        *results.TRIAL_COLUMNS, *columns.PASS_COLUMNS,
-    }  # fmt: skip
-    assert frame["strategy"].tolist() == ["epsilon_greedy"] * 3 + ["softmax"] * 3
-    assert frame["strategy.epsilon"].tolist()[:3] == [0.1] * 3
-    assert frame["strategy.epsilon"].isna().tolist() == [False] * 3 + [True] * 3
-    assert frame["strategy.temperature"].tolist()[3:] == [2.0] * 3
-    assert frame["trial"].tolist() == [10, 11, 12] * 2
-    assert list(frame)[:3] == ["experiment", "job", "strategy"]
-
-
 def test_the_columns_are_those_of_the_documentation():
     assert tuple(results.TRIAL_COLUMNS) == (
         "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
@@ -448,6 +383,7 @@ OLD = "\n".join(",".join(line.split(",")[:8]) for line in TRIALS_CSV.splitlines(
 def test_files_without_the_columns_of_the_measures_are_read(job):
     """Files of an older version: a trial stopped when it passed."""
     (job / "trials.csv").write_text(OLD)
+    (job / "run.json").write_text(json.dumps({**results.read_run(job), "files": {}}))
     outcomes = results.read_job(job)
     assert outcomes.passed is outcomes.converged
     assert outcomes.iterations_to_pass is outcomes.iterations
@@ -504,12 +440,3 @@ def test_a_job_that_is_being_cleared_is_first_of_all_unfinished(tmp_path, monkey
     with pytest.raises(OSError, match="killed"):
         writing.clear(job)
     assert not results.is_finished(job)
-
-
-def test_a_record_that_names_a_file_elsewhere_is_refused(tmp_path):
-    job = write(tmp_path / "job")
-    (tmp_path / "other.csv").write_text("x")
-    run = results.read_run(job)
-    run["files"]["../other.csv"] = {"bytes": 1}
-    with pytest.raises(ResultsError, match=r"other\.csv"):
-        results.check_whole(job, run)

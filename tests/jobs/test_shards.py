@@ -30,8 +30,11 @@ JOBS = {
     "per trial": [
         "strategy=epsilon_greedy", f"strategy.epsilon={EPSILONS}", "diagnostics=true",
         "evaluate_every=3", "evaluate_episodes=2", "baseline=linear_value", "episodes_per_update=2",
+        "keep_weights=[7,0,12]",
     ],
-    "stopped by evaluation": ["evaluate_every=2", "stop_on=learned", "optimizer=torch"],
+    "stopped by evaluation": [
+        "evaluate_every=2", "stop_on=learned", "optimizer=torch", "keep_weights=[2,11]",
+    ],
     "learns from data": ["strategy=vdbe", "baseline=step_mean", "evaluate_every=4"],
     "counts": ["strategy=count_bonus", "diagnostics=true", "intrinsic_reward=0.1"],
     "noise": ["strategy=parameter_noise", "baseline=episode_mean", "diagnostics=true"],
@@ -62,7 +65,7 @@ def files(config, shards: Shards, folder: Path) -> dict[str, bytes]:
     results.write_job(
         folder, shards.trials(), shards.weights(), config=values, experiment="train", strategy="x",
         collector="x", seconds=1.0, evaluations=shards.evaluations(),
-        learned=shards.learned(), diagnostics=shards.diagnostics(),
+        learned=shards.learned(), diagnostics=shards.diagnostics(), kept=shards.kept_weights(),
     )  # fmt: skip
     found = {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*.*") if p.is_file()}
     del found["run.json"]  # it has the hashes of the others

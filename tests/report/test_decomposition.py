@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from trl_explore.report.build import build_report
-from trl_explore.report.cells import Run, crossings
 from trl_explore.report.curves import Heights
-from trl_explore.report.decomposition import decompose
-from trl_explore.report.decomposition_tables import decomposition_tables
+from trl_explore.report.decomposition import Run, crossings, decompose
 from trl_explore.report.figures import draw_why
-from trl_explore.report.headline import headline
+from trl_explore.report.why import decomposition_tables, headline
 from trl_explore.statistics.outcomes import judged
 
 EPSILON, T = {"epsilon": 0.3}, {"temperature": 1.0}

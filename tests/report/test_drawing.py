@@ -17,8 +17,7 @@ from tests.report.test_sizes import write_sizes
 from tests.report.test_visits import write_visits
 from trl_explore.report.evidence import Evidence, GroupEvidence, gather
 from trl_explore.report.figures import KINDS, draw_all
-from trl_explore.report.figures.acting import draw_acting
-from trl_explore.report.figures.forest import oriented
+from trl_explore.report.figures.differences import draw_acting, oriented
 from trl_explore.report.figures.survival import draw_survival
 from trl_explore.report.loading import load
 from trl_explore.report.style import visual_language

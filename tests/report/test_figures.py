@@ -11,8 +11,8 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
 from trl_explore.report.curves import Curve
-from trl_explore.report.figures import effects, forest, learning, plane, power, survival, trials
-from trl_explore.report.figures.epsilon_decay import plot_epsilon
+from trl_explore.report.figures import differences, learning, maps, power, survival, trials
+from trl_explore.report.figures.by_parameter import plot_epsilon
 from trl_explore.report.figures.panels import plot_curves
 from trl_explore.report.style import KNOWN, MAP, OPTIONS, PAPER, contrast, visual_language
 from trl_explore.statistics.estimates import Estimate
@@ -165,10 +165,12 @@ def test_learning_draws_mean_band_threshold_and_the_others(ax):
 
 def test_forest_fills_only_significant_differences(ax):
     rows = [
-        forest.Row("softmax", "random", Estimate(852.0, 830.0, 870.0, 0.95), True, SOFTMAX),
-        forest.Row("softmax", "argmax", Estimate(10.0, -5.0, 25.0, 0.95), False, SOFTMAX),
+        differences.PairRow(
+            "softmax", "random", Estimate(852.0, 830.0, 870.0, 0.95), True, SOFTMAX
+        ),
+        differences.PairRow("softmax", "argmax", Estimate(10.0, -5.0, 25.0, 0.95), False, SOFTMAX),
     ]
-    forest.plot_forest(ax, rows)
+    differences.plot_forest(ax, rows)
     marked = {line.get_label(): line for line in ax.lines}
     assert marked["significant"].get_markerfacecolor() == SOFTMAX.color
     assert marked["not significant"].get_markerfacecolor() == PAPER
@@ -201,7 +203,7 @@ def test_epsilon_curve_is_a_power(ax):
 
 def test_a_map_states_every_value_in_an_ink_that_stands_out(ax):
     values = np.array([[0.0, 50.0], [100.0, np.nan]])
-    plane.plot_plane(ax, values, [0.0, 0.1], [0.5, 1.0], x="ε", y="T", scale=(0.0, 100.0),
+    maps.plot_plane(ax, values, [0.0, 0.1], [0.5, 1.0], x="ε", y="T", scale=(0.0, 100.0),
                      marked=(0, 1))  # fmt: skip
     assert texts(ax) == ["0", "50", "100"]
     assert [t.get_position() for t in ax.texts] == [(0, 0), (0, 1), (1, 0)]
@@ -219,15 +221,15 @@ def test_a_map_states_every_value_in_an_ink_that_stands_out(ax):
 
 def test_every_cell_of_a_map_can_be_read():
     # Between black and white no grey gives more than 4.58 to both.
-    assert all(contrast(color, plane.ink_on(color)) >= 4.4 for color in MAP)
+    assert all(contrast(color, maps.ink_on(color)) >= 4.4 for color in MAP)
 
 
 def test_effects_stand_block_by_block(ax):
     dots = [
-        effects.Dot(0, 0, Estimate(40.0, 30.0, 50.0, 0.95), OPTIONS[0]),
-        effects.Dot(1, 1, Estimate(90.0, np.nan, np.nan, 0.95), OPTIONS[1]),
+        differences.Dot(0, 0, Estimate(40.0, 30.0, 50.0, 0.95), OPTIONS[0]),
+        differences.Dot(1, 1, Estimate(90.0, np.nan, np.nan, 0.95), OPTIONS[1]),
     ]
-    effects.plot_effects(ax, dots, ["argmax", "softmax"], 2, quantity="trials that pass, %")
+    differences.plot_effects(ax, dots, ["argmax", "softmax"], 2, quantity="trials that pass, %")
     drawn = [(list(line.get_xdata()), float(line.get_ydata()[0])) for line in ax.lines]
     assert ([30.0, 50.0], 0.0) in drawn
     assert ([40.0], 0.0) in drawn

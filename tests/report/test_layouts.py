@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from trl_explore.report.groups import crossed, group_jobs, plane
+from trl_explore.report.groups import group_jobs
 from trl_explore.report.labels import configuration_labels, natural_order, swept_parameters
+from trl_explore.report.layouts import crossed, plane
 from trl_explore.report.loading import load
 from trl_explore.report.style import styles
 

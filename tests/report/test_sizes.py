@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 
-from trl_explore.report import evidence, sizes
-from trl_explore.report.figures.first_reward import FIRST_REWARD
-from trl_explore.report.figures.forest import FOREST
+from trl_explore.report import evidence, layouts
+from trl_explore.report.figures.by_parameter import FIRST_REWARD
+from trl_explore.report.figures.differences import FOREST
 from trl_explore.report.figures.survival import SURVIVAL
 from trl_explore.report.loading import load
 from trl_explore.report.style import visual_language
@@ -45,7 +45,7 @@ def swept(tmp_path, make_job):
 
 
 def test_the_layout(swept):
-    layout = sizes.layout(swept.group.configurations)
+    layout = layouts.lines_by_size(swept.group.configurations)
     assert list(layout) == ["intrinsic reward = 0", "intrinsic reward = 1"]
     for panel in layout.values():
         assert list(panel) == ["random", "softmax"]

@@ -7,7 +7,7 @@ import pytest
 from safetensors.numpy import save_file
 
 from trl_explore.report import evidence
-from trl_explore.report.figures.visits import VISITS
+from trl_explore.report.figures.maps import VISITS
 from trl_explore.report.loading import load
 from trl_explore.report.style import visual_language
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from trl_explore.commands import logs
 from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.console import printable, tell
 from trl_explore.report.build import build_report
 
 
@@ -28,13 +28,13 @@ def main() -> int:
         else:
             page, gaps = build_report(arguments.folders, out)
     except ResultsError as error:
-        print(f"error: {error}", file=sys.stderr)
+        tell(error)
         return 1
     except OSError as error:
-        print(f"error: cannot write {error.filename}: {error.strerror}", file=sys.stderr)
+        tell(f"cannot write {error.filename}: {error.strerror}")
         return 1
     for gap in gaps:
-        print(f"warning: left out {gap.what}: {gap.why}", file=sys.stderr)
+        tell(f"left out {gap.what}: {gap.why}", "warning")
     if page:
-        print(page)
+        print(printable(str(page)))
     return 0

@@ -24,6 +24,7 @@ from trl_explore import config as configuration
 from trl_explore import jobs as results
 from trl_explore.config import ConfigError
 from trl_explore.config.recorded import RecordedJob, recompose_all
+from trl_explore.jobs.console import printable, tell
 
 ORDER_SEED = 0
 """Seed of the order in which the trials run."""
@@ -88,7 +89,7 @@ def run(folders: list[Path], trials: int, config_dir: Path | None = None) -> Non
             ]
             tables = [before.loc[others], *tables] if any(others) else tables
         results.write_timings(sweep, pd.concat(tables))
-        print(f"{sweep / results.TIMINGS}: {sum(mask)} trials timed")
+        print(f"{printable(str(sweep / results.TIMINGS))}: {sum(mask)} trials timed")
 
 
 def main() -> int:
@@ -110,7 +111,7 @@ def main() -> int:
             raise ConfigError(f"--trials must be at least 1, got {arguments.trials}")
         run(arguments.folders, arguments.trials, arguments.config_dir)
     except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
-        print(f"error: {configuration.describe(error)}", file=sys.stderr)
+        tell(configuration.describe(error))
         return 1
     except KeyboardInterrupt:
         print("interrupted; nothing was written", file=sys.stderr)

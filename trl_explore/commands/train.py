@@ -26,6 +26,7 @@ from trl_explore.jobs import signals
 from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
 from trl_explore.jobs.code import changed_code, code_digests
 from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.console import tell
 from trl_explore.jobs.lock import NAME as LOCK
 from trl_explore.jobs.lock import Lock, LockedError
 from trl_explore.jobs.resume import Checkpoints
@@ -124,7 +125,7 @@ def leave_finished(folder: Path, values: dict[str, Any]) -> None:
             "restart=true starts over"
         )
     try:
-        results.check_whole(folder, record)
+        results.check_files(folder, record, up_to=results.SMALL)
     except ResultsError as error:
         raise ResultsError(f"{error}; restart=true starts over") from None
     if (folder / CHECKPOINT).exists() or (folder / LOCK).exists():
@@ -179,6 +180,7 @@ def train_from(
                     folder,
                     trials,
                     shards.weights(),
+                    kept=shards.kept_weights(),
                     config=values,
                     experiment=choices.get("experiment") or "train",
                     strategy=str(choices["strategy"]),
@@ -269,7 +271,7 @@ def _reported(action: Callable[[], int]) -> int:
         if TRACEBACK in os.environ or not isinstance(error, (HydraException, *EXPECTED)):
             raise
         unread = configuration.unreadable(sys.argv[1:]) if isinstance(error, HydraException) else ""
-        print(f"error: {unread or configuration.describe(error)}", file=sys.stderr)
+        tell(unread or configuration.describe(error))
         return 1
 
 

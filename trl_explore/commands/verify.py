@@ -8,7 +8,6 @@ iteration on.
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from trl_explore import config as configuration
 from trl_explore import jobs as results
 from trl_explore.config.recorded import RecordedJob, recompose_all
+from trl_explore.jobs.console import printable, tell
 
 TOLERANCE = 1e-5
 """The largest difference of weights, relative to the largest, that is called rounding."""
@@ -83,8 +83,8 @@ def main() -> int:
         for job in recompose_all(arguments.folders, arguments.config_dir):
             words = verify(job)
             different |= not words.startswith(SAME)
-            print(f"{job.folder.name}: {words}", flush=True)
+            print(f"{printable(job.folder.name)}: {words}", flush=True)
     except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
-        print(f"error: {configuration.describe(error)}", file=sys.stderr)
+        tell(configuration.describe(error))
         return 1
     return 1 if different else 0

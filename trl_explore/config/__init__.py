@@ -5,20 +5,22 @@ that ``--help``, ``--cfg`` and tab completion are fast.
 """
 
 from trl_explore.checks import first_line
-from trl_explore.config.building import (
-    build_shards,
-    build_trainer,
-    current_choices,
-    current_folder,
-    fill_threshold,
-    is_multirun,
-    save_hydra,
-)
+from trl_explore.config.building import build_shards, build_trainer, fill_threshold
 from trl_explore.config.checking import check_keys, describe, differences, resolved, unreadable
 from trl_explore.config.files import CONF, GROUPS, INERT, ConfigError, files_of, search_in
 from trl_explore.config.naming import job_name, register_resolvers
 from trl_explore.config.objective import best, measured, objective, returned
-from trl_explore.config.sweeping import Ended, collect, end_job, is_repeated, is_worker
+from trl_explore.config.sweeping import (
+    Ended,
+    collect,
+    current_choices,
+    current_folder,
+    end_job,
+    is_multirun,
+    is_repeated,
+    is_worker,
+    save_hydra,
+)
 
 __all__ = [
     "CONF",

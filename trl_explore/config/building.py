@@ -1,21 +1,18 @@
-"""Build the objects of a job from its configuration; query Hydra about the running job."""
+"""Build the objects of a job from its configuration."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
-from hydra.types import RunMode
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from trl_explore.checks import LARGEST, MAX_THREADS, check_integer, check_number
-from trl_explore.config.checking import describe
+from trl_explore.checks import check_number
+from trl_explore.config.checking import check_values, describe
 from trl_explore.config.files import ConfigError
 from trl_explore.config.kinds import check_actions
 
@@ -30,16 +27,6 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-INTEGERS = {
-    "seed": (0, LARGEST),
-    "trials": (1, 10**7),
-    "first_trial": (0, LARGEST - 10**7),
-    "threads": (1, MAX_THREADS),
-    "episodes_per_update": (1, 10**6),
-    "evaluate_episodes": (1, 10**6),
-    "evaluate_confirm": (20, 10**6),
-}
-"""The top-level keys that hold an integer, and their bounds."""
 SHARED = ("kwargs", "attributes", "wrappers", "transforms", "workers")
 """The keys of ``env`` that ``train.yaml`` gives every environment."""
 PARTS = {
@@ -47,8 +34,6 @@ PARTS = {
     "transforms": "torchrl.envs.SignTransform",
 }
 """The keys of ``env`` that hold a list of constructors, each with an example."""
-POLICIES = ("greedy", "sampled")
-"""How evaluations play π."""
 STOPPING = ("max_iterations", "score_threshold", "score_window", "evaluate_confirm")
 """The keys of an environment's file that belong to the rules; the trainer uses them."""
 
@@ -84,7 +69,8 @@ def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shar
     """
     from trl_explore.training.shards import Shards, partition
 
-    _check(config)
+    fill_threshold(config)
+    check_values(config)
     if sizes is None:
         sizes = partition(config.trials, config.threads)
         first = _build_trainer(config, slice(0, sizes[0]))
@@ -107,27 +93,9 @@ def build_trainer(config: DictConfig, rows: slice | None = None) -> Trainer:
     Raises:
         ConfigError: if a value is not allowed.
     """
-    _check(config)
-    return _build_trainer(config, rows or slice(0, config.trials), announce=rows is None)
-
-
-def _check(config: DictConfig) -> None:
-    """Reject top-level numbers that are not allowed."""
     fill_threshold(config)
-    for key, (low, high) in INTEGERS.items():
-        _build(None, lambda key=key, low=low, high=high: check_integer(key, config[key], low, high))
-    _build(None, lambda: check_number("checkpoint_seconds", config.checkpoint_seconds, 0))
-    if config.evaluate_every != "auto":
-        every = config.evaluate_every
-        if isinstance(every, str):
-            raise ConfigError(f"evaluate_every must be auto or an integer >= 0, got {every!r}")
-        _build(None, lambda: check_integer("evaluate_every", every, 0, 10**9))
-    if config.evaluate_policy not in POLICIES:
-        raise ConfigError(
-            f"evaluate_policy must be one of {', '.join(POLICIES)}, got {config.evaluate_policy!r}"
-        )
-    if config.stop_on == "evaluation":
-        raise ConfigError("stop_on=evaluation is now stop_on=learned")
+    check_values(config)
+    return _build_trainer(config, rows or slice(0, config.trials), announce=rows is None)
 
 
 def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) -> Trainer:
@@ -139,6 +107,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.record import Trials
+    from trl_explore.training.snapshots import Snapshots
     from trl_explore.training.trainer import Trainer
     from trl_explore.training.visits import Visits
 
@@ -170,11 +139,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     correction = _instantiate(config, "correction")()
     _build("correction", lambda: correction.take(rows, config.trials))
     loss = _instantiate(config, "loss")(
-        actor,
-        correction=correction,
-        baseline=baseline,
-        strategy=strategy,
-        trials=size,
+        actor, correction=correction, baseline=baseline, strategy=strategy, trials=size
     )
     auto = get_object(config.collector["_target_"]) is auto_collector
     quiet = {"announce": False} if auto and not announce else {}
@@ -187,20 +152,15 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     if config.diagnostics:
         visits = Visits(env, size)
         diagnostics = Diagnostics(actor, strategy, size, policy.parameters(), visits)
-    evaluator = _evaluator(config, env, policy, strategy, size, streams)
-    intrinsic = _build(None, lambda: _intrinsic(config, env, policy, size, streams))
-    return _build(
-        None,
-        lambda: Trainer(
-            collector,
-            loss,
-            optimizer,
-            trials,
-            evaluator=evaluator,
-            diagnostics=diagnostics,
-            intrinsic=intrinsic,
-        ),
-    )
+    evaluator = _evaluator(config, policy, strategy, env, size, streams)
+    kept, cap = config.keep_weights, config.max_iterations
+    parts = {
+        "evaluator": evaluator,
+        "diagnostics": diagnostics,
+        "intrinsic": _build(None, lambda: _intrinsic(config, env, policy, size, streams)),
+        "snapshots": _build(None, lambda: Snapshots(policy, kept, cap)) if kept else None,
+    }
+    return _build(None, lambda: Trainer(collector, loss, optimizer, trials, **parts))
 
 
 def _environment(config: DictConfig) -> Callable[..., Any]:
@@ -263,9 +223,9 @@ def _intrinsic(
 
 def _evaluator(
     config: DictConfig,
-    env: Any,
     policy: Any,
     strategy: Any,
+    env: Any,
     trials: int,
     streams: Mapping[str, int],
 ) -> Evaluator | None:
@@ -334,41 +294,9 @@ def _build(group: str | None, call: Callable[[], Any]) -> Any:
         return call()
     except ConfigError:
         raise
-    except InstantiationException as error:
-        raise ConfigError(_of(group, describe(error.__cause__ or error))) from error
     except MemoryError as error:
-        raise ConfigError(_of(group, "not enough memory; reduce trials")) from error
-    except (ValueError, TypeError, OverflowError) as error:
-        raise ConfigError(_of(group, describe(error))) from error
-
-
-def _of(group: str | None, message: str) -> str:
-    return f"{group}: {message}" if group else message
-
-
-def current_choices() -> dict[str, str | None]:
-    """The chosen option of every group in the running job."""
-    return dict(HydraConfig.get().runtime.choices)
-
-
-def current_folder() -> Path:
-    """The folder of the running job."""
-    return Path(HydraConfig.get().runtime.output_dir)
-
-
-def is_multirun() -> bool:
-    """Whether the running job belongs to a sweep."""
-    return HydraConfig.get().mode == RunMode.MULTIRUN
-
-
-def save_hydra(folder: Path, config: DictConfig) -> None:
-    """Write ``.hydra/`` as Hydra does."""
-    hydra = OmegaConf.create({"hydra": HydraConfig.get()})
-    files = {
-        "config.yaml": config,
-        "hydra.yaml": hydra,
-        "overrides.yaml": HydraConfig.get().overrides.task,
-    }
-    (folder / ".hydra").mkdir(exist_ok=True)
-    for name, node in files.items():
-        (folder / ".hydra" / name).write_text(OmegaConf.to_yaml(node), encoding="utf-8")
+        line, cause = "not enough memory; reduce trials", error
+    except (InstantiationException, ValueError, TypeError, OverflowError) as error:
+        within = isinstance(error, InstantiationException)
+        line, cause = describe((within and error.__cause__) or error), error
+    raise ConfigError(f"{group}: {line}" if group else line) from cause

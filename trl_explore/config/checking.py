@@ -8,10 +8,10 @@ from typing import Any, cast
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, MissingConfigException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from trl_explore.checks import first_line
+from trl_explore.checks import LARGEST, MAX_THREADS, check_integer, check_number, first_line
 from trl_explore.config.files import (
     GROUPS,
     INERT,
@@ -23,6 +23,19 @@ from trl_explore.config.files import (
     schedules_of,
     strategies_of,
 )
+
+INTEGERS = {
+    "seed": (0, LARGEST),
+    "trials": (1, 10**7),
+    "first_trial": (0, LARGEST - 10**7),
+    "threads": (1, MAX_THREADS),
+    "episodes_per_update": (1, 10**6),
+    "evaluate_episodes": (1, 10**6),
+    "evaluate_confirm": (20, 10**6),
+}
+"""The top-level keys that hold an integer, and their bounds."""
+POLICIES = ("greedy", "sampled")
+"""How evaluations play π."""
 
 
 def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
@@ -89,6 +102,36 @@ def _check_schedule(
         if isinstance(own, DictConfig) and f"strategy.{name}" in schedules_of(choices):
             hint = f"; strategy={option} has its own schedule, which cannot be replaced"
         raise ConfigError(f"unknown key 'strategy.{name}.{key}'; this schedule has: {has}{hint}")
+
+
+def check_values(config: DictConfig) -> None:
+    """Reject top-level numbers and words that are not allowed.
+
+    Raises:
+        ConfigError: naming the key, its value and what is allowed.
+    """
+    every = config.evaluate_every
+    try:
+        for key, (low, high) in INTEGERS.items():
+            check_integer(key, config[key], low, high)
+        check_number("checkpoint_seconds", config.checkpoint_seconds, 0)
+        if not isinstance(every, str):
+            check_integer("evaluate_every", every, 0, 10**9)
+    except (ValueError, TypeError) as error:
+        raise ConfigError(first_line(error)) from None
+    if isinstance(every, str) and every != "auto":
+        raise ConfigError(f"evaluate_every must be auto or an integer >= 0, got {every!r}")
+    if config.evaluate_policy not in POLICIES:
+        raise ConfigError(
+            f"evaluate_policy must be one of {', '.join(POLICIES)}, got {config.evaluate_policy!r}"
+        )
+    if not isinstance(config.keep_weights, ListConfig):
+        raise ConfigError(
+            "keep_weights must be a list of iterations, such as [0,10,50], "
+            f"got {config.keep_weights!r}"
+        )
+    if config.stop_on == "evaluation":
+        raise ConfigError("stop_on=evaluation is now stop_on=learned")
 
 
 def resolved(config: DictConfig) -> dict[str, Any]:

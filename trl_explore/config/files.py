@@ -22,7 +22,7 @@ SCHEDULE = "schedule@"
 ``+schedule@strategy.temperature=linear``."""
 INERT = (
     "output_dir", "restart", "threads", "episodes", "collector.threads", "env.workers",
-    "checkpoint_seconds", "debug",
+    "checkpoint_seconds", "debug", "keep_weights",
 )  # fmt: skip
 """Keys that do not change results; they are not part of a job's name or identity."""
 STRATEGY = "strategy@"

@@ -12,19 +12,14 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hydra import compose, version
-from hydra._internal.hydra import Hydra
-from hydra._internal.utils import create_config_search_path
-from hydra.core.config_search_path import SearchPathQuery
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.checks import first_line
-from trl_explore.config.building import build_trainer, fill_threshold
-from trl_explore.config.checking import check_keys, differences, resolved
-from trl_explore.config.files import CONF, GROUPS, ConfigError, files_of, search_in
-from trl_explore.config.naming import register_resolvers
+from trl_explore.config.building import build_trainer
+from trl_explore.config.checking import differences, resolved
+from trl_explore.config.composing import composed, searching
+from trl_explore.config.files import GROUPS, ConfigError, files_of
 from trl_explore.jobs.reading import find_jobs, read_run, read_trials
 
 if TYPE_CHECKING:
@@ -63,19 +58,8 @@ def recompose_all(folders: Iterable[Path], config_dir: Path | None = None) -> li
     found = dict.fromkeys(job for folder in folders for job in find_jobs(folder))
     if not found:
         raise ConfigError(f"{', '.join(map(str, folders))}: no finished job found")
-    if config_dir is not None and not config_dir.is_dir():
-        raise ConfigError(f"--config-dir {config_dir}: no such folder")
-    register_resolvers()
-    search_in([config_dir] if config_dir else [])
-    search = create_config_search_path(str((config_dir or CONF).resolve()))
-    search.append("conf", str(CONF), anchor=SearchPathQuery(provider="main"))
-    GlobalHydra.instance().clear()
-    version.setbase("1.3")
-    Hydra.create_main_hydra2(task_name="recorded", config_search_path=search)
-    try:
+    with searching(config_dir):
         return [recompose(folder, config_dir) for folder in found]
-    finally:
-        GlobalHydra.instance().clear()
 
 
 def recompose(folder: Path, config_dir: Path | None = None) -> RecordedJob:
@@ -101,13 +85,8 @@ def recompose(folder: Path, config_dir: Path | None = None) -> RecordedJob:
         key = override.key_or_group
         if override.is_sweep_override() or key.startswith("hydra") or "_target_" in key:
             raise ConfigError(f"{recorded}: {override.input_line!r} is not allowed in a rerun")
-    composed = compose("train", overrides=overrides, return_hydra_config=True)
-    choices = dict(composed.hydra.runtime.choices)
-    with open_dict(composed):
-        del composed["hydra"]
-    check_keys(composed, choices)
-    fill_threshold(composed)
-    values = resolved(composed)
+    config, _ = composed(overrides)
+    values = resolved(config)
     unknown = [str(target) for target in _targets(values) if not _is_known(target, config_dir)]
     if ":" in str(id := values["env"].get("id")) and config_dir is None:
         unknown.append(str(id))  # gymnasium would import the module before the colon
@@ -119,7 +98,7 @@ def recompose(folder: Path, config_dir: Path | None = None) -> RecordedJob:
     changed = [d for d in differences(run["config"], values) if "._" not in d]
     if changed:
         raise ConfigError(f"{folder}: conf/ has changed since the job ran ({'; '.join(changed)})")
-    return RecordedJob(folder, run["experiment"], composed, read_trials(folder))
+    return RecordedJob(folder, run["experiment"], config, read_trials(folder))
 
 
 @cache

@@ -19,12 +19,13 @@ from typing import Any, NamedTuple
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from trl_explore.checks import first_line
-from trl_explore.config.building import is_multirun
 from trl_explore.config.files import ConfigError
 from trl_explore.config.naming import register_resolvers
 from trl_explore.jobs import sweeps
@@ -247,3 +248,31 @@ def _from_files(folder: Path, reason: str) -> Ended:
     ended = Ended(folder, failure or reason)
     print(f"error: {ended.line}", file=sys.stderr)
     return ended
+
+
+def current_choices() -> dict[str, str | None]:
+    """The chosen option of every group in the running job."""
+    return dict(HydraConfig.get().runtime.choices)
+
+
+def current_folder() -> Path:
+    """The folder of the running job."""
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
+def is_multirun() -> bool:
+    """Whether the running job belongs to a sweep."""
+    return HydraConfig.get().mode == RunMode.MULTIRUN
+
+
+def save_hydra(folder: Path, config: DictConfig) -> None:
+    """Write ``.hydra/`` as Hydra does."""
+    hydra = OmegaConf.create({"hydra": HydraConfig.get()})
+    files = {
+        "config.yaml": config,
+        "hydra.yaml": hydra,
+        "overrides.yaml": HydraConfig.get().overrides.task,
+    }
+    (folder / ".hydra").mkdir(exist_ok=True)
+    for name, node in files.items():
+        (folder / ".hydra" / name).write_text(OmegaConf.to_yaml(node), encoding="utf-8")

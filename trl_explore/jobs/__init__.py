@@ -6,6 +6,7 @@
     evaluations.csv         one row per episode of the policy without its strategy, if evaluated
     scalars/*.csv           learning curves averaged over the trials (TorchRL's CSVLogger)
     weights.safetensors     the final policy of every trial
+    kept_weights.safetensors    its weights along the way (keep_weights=[0,10,50])
     run.json                configuration, versions, seed, wall time; written last
 
 In the folder of a sweep:
@@ -24,18 +25,16 @@ from trl_explore.jobs.columns import (
     TIMINGS,
     TRIAL_COLUMNS,
     TRIALS,
-    ResultsError,
 )
+from trl_explore.jobs.files import SMALL, ResultsError, check_files, flaws
+from trl_explore.jobs.frame import read_frame, read_jobs
 from trl_explore.jobs.reading import (
-    check_whole,
     find_folders,
     find_jobs,
     is_finished,
     read_curves,
     read_episodes,
-    read_frame,
     read_job,
-    read_jobs,
     read_run,
     read_timings,
     read_trials,
@@ -49,15 +48,17 @@ __all__ = [
     "DIAGNOSTIC_COLUMNS",
     "EPISODES",
     "EPISODE_COLUMNS",
+    "SMALL",
     "TIMINGS",
     "TIMING_COLUMNS",
     "TRIALS",
     "TRIAL_COLUMNS",
     "ResultsError",
-    "check_whole",
+    "check_files",
     "clear",
     "find_folders",
     "find_jobs",
+    "flaws",
     "is_finished",
     "read_curves",
     "read_diagnostics",

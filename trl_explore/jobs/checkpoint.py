@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.checks import first_line
-from trl_explore.jobs.columns import write_whole
+from trl_explore.jobs.files import write_whole
 
 FOLDER, SLOTS, HISTORY = "checkpoint", ("a.safetensors", "b.safetensors"), "history.bin"
 DIGEST = hashlib.sha256().digest_size

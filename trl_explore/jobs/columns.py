@@ -7,37 +7,22 @@ file is rejected.
 
 from __future__ import annotations
 
-import errno
-import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trl_explore.jobs.files import ResultsError, read_file
 from trl_explore.statistics.learning import PURPOSES
 from trl_explore.statistics.outcomes import STATUSES
 
 TRIALS, EPISODES, SCALARS = "trials.csv", "episodes.csv", "scalars"
 EVALUATIONS, TIMINGS = "evaluations.csv", "timings.csv"
-WEIGHTS, VISITS, RUN = "weights.safetensors", "visits.safetensors", "run.json"
-RUN_KEYS = {
-    "config": (dict,), "strategy": (str,), "experiment": (str,), "trials": (int,),
-    "versions": (dict,), "seed": (int,), "collector": (str,), "seconds": (int, float),
-    "machine": (dict,),
-}  # fmt: skip
-CONFIG_KEYS = {
-    "strategy": (dict,), "max_iterations": (int,), "score_threshold": (int, float),
-    "score_window": (int,),
-}  # fmt: skip
+WEIGHTS, KEPT, VISITS = "weights.safetensors", "kept_weights.safetensors", "visits.safetensors"
 PACKAGES = ("trl_explore", "torch", "torchrl", "tensordict", "gymnasium", "numpy", "numba")
-
-
-class ResultsError(ValueError):
-    """A folder whose files are missing or invalid; the message is one line."""
 
 
 INTEGER = re.compile(r"-?[0-9]{1,19}")
@@ -233,48 +218,3 @@ def _fields(path: Path) -> list[list[str]]:
     if not text.endswith("\n"):
         raise ResultsError(f"{path}: truncated: the last line has no newline")
     return [line.removesuffix("\r").split(",") for line in text[:-1].split("\n")]
-
-
-def read_file(path: Path) -> bytes:
-    """The contents of a regular file; a pipe in a folder of results would block its reader.
-
-    Raises:
-        OSError: if the file cannot be read, or is not a regular file.
-    """
-    if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "not a regular file", str(path))
-    return path.read_bytes()
-
-
-def write_whole(path: Path, data: bytes, tag: str = "") -> None:
-    """Write a file atomically: it is complete or unchanged, even after a power failure.
-
-    After a power failure the previous file may reappear, because the folder is not synced.
-
-    Args:
-        path: the file.
-        data: its contents.
-        tag: prefix for the name of the temporary file, if several processes write the same file.
-
-    Raises:
-        OSError: with the name of the file, if it cannot be written; an existing file stays
-            unchanged.
-    """
-    temporary = path.with_name(f".{tag}{path.name[:200]}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException as error:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise named(error, path) from None
-        raise
-
-
-def named(error: OSError, path: Path) -> OSError:
-    """The error with the file name added: the error of a full disk names no file."""
-    return error if error.errno is None else OSError(error.errno, error.strerror, str(path))

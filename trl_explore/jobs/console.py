@@ -69,6 +69,16 @@ class Progress:
             self.stream.flush()
 
 
+def printable(text: str) -> str:
+    """A text from a file or a folder name, without terminal control characters."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def tell(message: object, kind: str = "error") -> None:
+    """Print one line on stderr: what went wrong."""
+    print(f"{kind}: {printable(str(message))}", file=sys.stderr)
+
+
 def duration(seconds: float) -> str:
     """A time span in words: ``8 s``, ``3 min``, ``2.5 h``."""
     if seconds < 100:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import fcntl
+import logging
 import os
+import socket
+import threading
 import time
 from pathlib import Path
 from types import TracebackType
@@ -11,6 +14,14 @@ from types import TracebackType
 NAME = ".lock"
 PATIENCE = 0.2
 """Seconds to retry a lock; ``is_locked`` holds it only for microseconds."""
+BLOCKED = 5.0
+"""Seconds after which a lock that must not wait counts as missing."""
+RECENT = 900.0
+"""Age of a checkpoint [s] up to which a process on another computer counts as running."""
+
+logger = logging.getLogger(__name__)
+_reasons: dict[int, str] = {}
+"""Device -> why its file system has no locks; empty if it has."""
 
 
 class LockedError(OSError):
@@ -24,6 +35,11 @@ class Lock:
     process dies, so that a kill needs no clean-up. Releasing the lock deletes the file, and the
     folder if it is empty. A process that opened the file just before then locks a deleted file, or
     finds no folder to create the file in; it detects this and tries again.
+
+    Some file systems (NFS, Lustre, FUSE) have no such lock: the call fails, waits for ever, or
+    excludes nobody. One warning says so, and the file, which is created only if there is none,
+    names the process. A file of a process that has ended on this computer is replaced. On another
+    computer nobody can tell, so the user must delete it.
 
     Args:
         folder: the folder; created if it does not exist.
@@ -42,25 +58,67 @@ class Lock:
         while self._file < 0:
             self.folder.mkdir(parents=True, exist_ok=True)
             try:
-                file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+                self._file = self._named() if _reason(self.folder) else self._locked()
             except FileNotFoundError:  # another process has just removed the empty folder
                 if time.monotonic() > deadline:
                     raise
-                continue
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if self._is_named(file):
-                    self._file = file
             except BlockingIOError:
                 if time.monotonic() > deadline:
                     raise LockedError(
                         f"{self.folder} is in use: another process runs this job"
                     ) from None
                 time.sleep(PATIENCE / 10)
-            finally:
-                if self._file != file:
-                    os.close(file)
         return self
+
+    def _locked(self) -> int:
+        """The locked file; -1 if the lock must be tried again."""
+        file, held = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666), False
+        try:
+            _flock(file, fcntl.LOCK_EX)
+            held = _is_named(file, self.path) and self._excludes()
+        except BlockingIOError:
+            raise
+        except OSError as error:
+            _complain(self.folder, error.strerror or str(error))
+        finally:
+            if not held:
+                os.close(file)
+        return file if held else -1
+
+    def _excludes(self) -> bool:
+        """Whether the lock on a file excludes others; looked at once for each file system."""
+        device = self.folder.stat().st_dev
+        if device not in _reasons:
+            other = os.open(self.path, os.O_RDWR | os.O_CLOEXEC)
+            try:
+                _flock(other, fcntl.LOCK_EX)
+            except BlockingIOError:
+                _reasons[device] = ""
+            else:
+                _complain(self.folder, "they exclude nobody")
+            finally:
+                os.close(other)
+        return not _reasons[device]
+
+    def _named(self) -> int:
+        """The file that names this process; -1 if it must be tried again."""
+        try:
+            file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        except FileExistsError:
+            text = _text(self.path)
+            if not text:  # another process may be about to write it
+                time.sleep(PATIENCE)
+                text = _text(self.path)
+            if text and _runs(text) is not False:
+                host, pid, _ = text.split()
+                raise LockedError(
+                    f"{self.folder} is in use by process {pid} on {host}; if that has ended, "
+                    f"delete {self.path}"
+                ) from None
+            self.path.unlink(missing_ok=True)
+            return -1
+        os.write(file, f"{socket.gethostname()} {os.getpid()} {_birth(os.getpid())}".encode())
+        return file
 
     def __exit__(
         self,
@@ -83,24 +141,109 @@ class Lock:
         finally:
             os.close(file)
 
-    def _is_named(self, file: int) -> bool:
-        """Whether the open file is still the one at ``path``."""
-        try:
-            return os.path.samestat(os.fstat(file), self.path.stat())
-        except FileNotFoundError:
-            return False
-
 
 def is_locked(folder: Path) -> bool:
     """Whether a process runs the job of this folder; changes nothing."""
+    path = folder / NAME
     try:
-        file = os.open(folder / NAME, os.O_RDONLY | os.O_CLOEXEC)
+        file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except OSError:
         return False
     try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
+        if not _reason(folder):
+            _flock(file, fcntl.LOCK_SH)
+    except BlockingIOError:
         return True
+    except OSError as error:
+        _reasons[folder.stat().st_dev] = error.strerror or str(error)
     finally:
         os.close(file)
-    return False
+    text = _text(path)  # only where locks do not work
+    runs = _runs(text) if text else False
+    return _is_recent(folder) if runs is None else runs
+
+
+def _flock(file: int, kind: int) -> None:
+    """Lock a file without waiting.
+
+    Raises:
+        BlockingIOError: if another process holds the lock.
+        OSError: if the file system has no locks; also if the call waits.
+    """
+    ended: list[OSError | None] = []
+
+    def lock() -> None:
+        try:
+            fcntl.flock(file, kind | fcntl.LOCK_NB)
+            ended.append(None)
+        except OSError as error:
+            ended.append(error)
+
+    thread = threading.Thread(target=lock, daemon=True)
+    thread.start()
+    thread.join(BLOCKED)
+    error = ended[0] if ended else OSError(f"no answer within {BLOCKED:.0f} s")
+    if error is not None:
+        raise error
+
+
+def _reason(folder: Path) -> str:
+    """Why the file system of a folder has no locks, if that is known; empty if it may have."""
+    return _reasons.get(folder.stat().st_dev, "")
+
+
+def _complain(folder: Path, reason: str) -> None:
+    _reasons[folder.stat().st_dev] = reason
+    logger.warning(
+        "no file locks in %s (%s): %s files name the process instead; never run one job on two "
+        "computers at a time, or choose another output_dir", folder.parent, reason, NAME,
+    )  # fmt: skip
+
+
+def _is_named(file: int, path: Path) -> bool:
+    """Whether the open file is still the one at ``path``."""
+    try:
+        return os.path.samestat(os.fstat(file), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+def _text(path: Path) -> str:
+    """The host, process and start in a lock file; empty if it holds no such words."""
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")[:400] if path.is_file() else ""
+    except OSError:
+        return ""
+    words = text.split()
+    return text if len(words) == 3 and words[1].isdecimal() else ""
+
+
+def _runs(text: str) -> bool | None:
+    """Whether the process that a lock file names runs; None on another computer: unknown."""
+    host, pid, birth = text.split()
+    if host != socket.gethostname():
+        return None
+    try:
+        os.kill(int(pid), 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        pass  # the process of another user
+    return _birth(int(pid)) == birth
+
+
+def _birth(pid: int) -> str:
+    """When a process started, in the kernel's units: a new process may get an old number."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
+    except (OSError, IndexError, UnicodeDecodeError):
+        return "-"
+
+
+def _is_recent(folder: Path) -> bool:
+    """Whether a job has written its lock or a checkpoint lately."""
+    paths = [folder / NAME, *(folder / "checkpoint").glob("*/*")]
+    try:
+        return time.time() - max(path.stat().st_mtime for path in paths) < RECENT
+    except OSError:
+        return False

@@ -1,42 +1,66 @@
-"""Read and check the files of a job, or of all jobs of a sweep."""
+"""Find jobs, and read and check their files."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trl_explore.checks import first_line
+from trl_explore.checks import LARGEST, first_line
 from trl_explore.jobs.columns import (
-    CONFIG_KEYS,
     CURVE_COLUMNS,
     EPISODE_COLUMNS,
     EPISODES,
+    KEPT,
     LEARN_COLUMNS,
     PASS_COLUMNS,
-    RUN,
-    RUN_KEYS,
     SCALARS,
     TIMING_COLUMNS,
     TIMINGS,
     TRIAL_COLUMNS,
     TRIALS,
     WEIGHTS,
-    ResultsError,
-    read_file,
     read_table,
 )
+from trl_explore.jobs.files import RUN, ResultsError, check_files, read_file
 from trl_explore.statistics.outcomes import Outcomes
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+class Field(NamedTuple):
+    """A value of a record: its types, and the bounds of a number."""
+
+    types: tuple[type, ...]
+    low: float = -math.inf
+    high: float = LARGEST
+
+    def allows(self, value: Any) -> bool:
+        """Whether a value that was read is one that this program writes."""
+        if isinstance(value, bool) or not isinstance(value, self.types):
+            return False
+        return not isinstance(value, int | float) or self.low <= value <= self.high
+
+
+RUN_FIELDS = {
+    "config": Field((dict,)), "strategy": Field((str,)), "experiment": Field((str,)),
+    "trials": Field((int,), 1), "versions": Field((dict,)), "seed": Field((int,), 0),
+    "collector": Field((str,)), "seconds": Field((int, float), 0), "machine": Field((dict,)),
+}  # fmt: skip
+CONFIG_FIELDS = {
+    "strategy": Field((dict,)), "max_iterations": Field((int,), 1),
+    "score_threshold": Field((int, float), -LARGEST), "score_window": Field((int,), 1),
+}  # fmt: skip
+OPTIONAL_FIELDS = {"episodes_per_update": Field((int,), 1), "first_trial": Field((int,), 0)}
+"""Of the configuration; older versions have none."""
 
 
 def is_finished(job: Path) -> bool:
@@ -52,12 +76,9 @@ def read_run(job: Path) -> dict[str, Any]:
     """
     try:
         run = json.loads(read_file(job / RUN))
-        if missing := RUN_KEYS.keys() - set(run):
-            raise KeyError(*sorted(missing))
-        _check_kinds(run, RUN_KEYS)
-        if missing := CONFIG_KEYS.keys() - set(run["config"]):
-            raise KeyError(*sorted(missing))
-        _check_kinds(run["config"], CONFIG_KEYS)
+        _check(run, RUN_FIELDS)
+        _check(run["config"], CONFIG_FIELDS)
+        _check(run["config"], {k: f for k, f in OPTIONAL_FIELDS.items() if k in run["config"]})
     except FileNotFoundError:
         raise ResultsError(f"{job}: not a finished job ({RUN} is missing)") from None
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
@@ -66,35 +87,10 @@ def read_run(job: Path) -> dict[str, Any]:
     return run
 
 
-def _check_kinds(record: dict[str, Any], kinds: dict[str, tuple[type, ...]]) -> None:
-    for key, allowed in kinds.items():
-        value = record[key]
-        infinite = isinstance(value, float) and not math.isfinite(value)
-        if infinite or isinstance(value, bool) or not isinstance(value, allowed):
-            raise TypeError(f"{key} is {str(value)[:30]!r}")
-
-
-def check_whole(job: Path, run: Mapping[str, Any]) -> None:
-    """Check that the files of a finished job have the lengths recorded in ``run.json``.
-
-    Args:
-        job: the folder.
-        run: the contents of ``run.json``; the check passes if it has no record of the files.
-
-    Raises:
-        ResultsError: if a file is missing or has another length; the message names the first.
-    """
-    files = run.get("files", {})
-    if not isinstance(files, Mapping):
-        raise ResultsError(f"{job}: run.json has no valid list of files")
-    for name, expected in files.items():
-        path = job / name
-        if not path.resolve().is_relative_to(job.resolve()) or not isinstance(expected, Mapping):
-            raise ResultsError(f"{job}: run.json names {name!r}, which is not a file of a job")
-        if not path.is_file():
-            raise ResultsError(f"{path}: missing")
-        if (size := path.stat().st_size) != expected.get("bytes"):
-            raise ResultsError(f"{path}: damaged ({size} bytes, expected {expected.get('bytes')})")
+def _check(record: dict[str, Any], fields: dict[str, Field]) -> None:
+    for key, field in fields.items():
+        if not field.allows(record[key]):
+            raise TypeError(f"{key} is {str(record[key])[:30]!r}")
 
 
 def read_trials(job: Path) -> pd.DataFrame:
@@ -108,8 +104,8 @@ def read_trials(job: Path) -> pd.DataFrame:
     return pd.DataFrame(_trials(job))
 
 
-def _trials(job: Path) -> dict[str, NDArray[Any]]:
-    """The columns of ``trials.csv``, each [n_trials]."""
+def _trials(job: Path, run: dict[str, Any] | None = None) -> dict[str, NDArray[Any]]:
+    """The columns of ``trials.csv``, each [n_trials]; ``run``: the contents of ``run.json``."""
     columns = read_table(job / TRIALS, TRIAL_COLUMNS, PASS_COLUMNS, LEARN_COLUMNS)
     if (columns["iterations"] < 1).any() or (columns["frames"] < 1).any():
         raise ResultsError(f"{job / TRIALS}: a trial has no iterations or no frames")
@@ -126,6 +122,7 @@ def _trials(job: Path) -> dict[str, NDArray[Any]]:
                 raise ResultsError(
                     f"{job / TRIALS}: {kind}_to_{name} contradicts {event} or {kind}"
                 )
+    check_files(job, run, [TRIALS])
     return columns
 
 
@@ -153,11 +150,16 @@ def read_episodes(job: Path) -> pd.DataFrame:
     )
     if not same:
         raise ResultsError(f"{job / EPISODES}: its episodes do not match {TRIALS}")
+    check_files(job, names=[EPISODES])
     return frame
 
 
-def read_weights(job: Path) -> dict[str, NDArray[Any]]:
+def read_weights(job: Path, *, kept: bool = False) -> dict[str, NDArray[Any]]:
     """The weights of the final policy: name -> array [trials, ...].
+
+    Args:
+        job: the folder of the job.
+        kept: the weights along the way instead, by "iteration/name"; empty if none were kept.
 
     Raises:
         ResultsError: if the file is missing or damaged.
@@ -165,12 +167,17 @@ def read_weights(job: Path) -> dict[str, NDArray[Any]]:
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
+    name = KEPT if kept else WEIGHTS
+    path = job / name
+    check_files(job, names=[name])
     try:
-        return load(read_file(job / WEIGHTS))
+        return load(read_file(path))
     except FileNotFoundError:
-        raise ResultsError(f"{job / WEIGHTS}: missing") from None
+        if kept:
+            return {}
+        raise ResultsError(f"{path}: missing") from None
     except (SafetensorError, OSError) as error:
-        raise ResultsError(f"{job / WEIGHTS}: not readable as weights ({error})") from None
+        raise ResultsError(f"{path}: not readable as weights ({error})") from None
 
 
 def read_timings(sweep: Path) -> pd.DataFrame | None:
@@ -213,6 +220,7 @@ def read_curves(job: Path) -> pd.DataFrame:
         curves[file.stem] = columns["value"]
     if len({len(curve) for curve in curves.values()}) > 1:
         raise ResultsError(f"{job / SCALARS}: the curves differ in length")
+    check_files(job, names=[file.relative_to(job).as_posix() for file in files])
     index = pd.RangeIndex(1, 1 + len(next(iter(curves.values()))), name="iteration")
     return pd.DataFrame(curves, index=index)
 
@@ -243,7 +251,7 @@ def read_job(job: Path) -> Outcomes:
         ResultsError: if the folder holds no finished job, or its files contradict each other.
     """
     run = read_run(job)
-    columns: dict[str, Any] = dict(_trials(job))
+    columns: dict[str, Any] = dict(_trials(job, run))
     config = run["config"]
     if len(columns["trial"]) != run["trials"]:
         raise ResultsError(
@@ -293,32 +301,3 @@ def find_folders(folder: Path) -> list[tuple[Path, bool]]:
             if is_folder and name[0] != "." and name != SCALARS
         ]
     return sorted(found)
-
-
-def read_jobs(folders: Iterable[Path]) -> list[Outcomes]:
-    """The outcomes of all finished jobs in any set of job and sweep folders."""
-    jobs = dict.fromkeys(job for folder in folders for job in find_jobs(Path(folder)))
-    return [read_job(job) for job in jobs]
-
-
-def read_frame(folders: Iterable[Path]) -> pd.DataFrame:
-    """The trials of all finished jobs as one data frame.
-
-    The columns are ``experiment``, ``job``, ``strategy``, one for each parameter of a strategy, and
-    those of ``trials.csv``.
-    """
-    import pandas as pd
-
-    frames = []
-    for job in dict.fromkeys(job for folder in folders for job in find_jobs(Path(folder))):
-        outcomes, frame = read_job(job), read_trials(job)
-        labels = {
-            "experiment": outcomes.experiment,
-            "job": outcomes.name,
-            "strategy": outcomes.strategy,
-            **{f"strategy.{key}": value for key, value in outcomes.parameters.items()},
-        }
-        for place, (name, value) in enumerate(labels.items()):
-            frame.insert(place, name, [value] * len(frame))
-        frames.append(frame)
-    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()

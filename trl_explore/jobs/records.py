@@ -15,9 +15,9 @@ from trl_explore.jobs.columns import (
     PURPOSE_COLUMNS,
     TRIALS,
     VISITS,
-    ResultsError,
     read_table,
 )
+from trl_explore.jobs.files import ResultsError, check_files, read_file
 from trl_explore.jobs.reading import read_episodes, read_run, read_trials
 from trl_explore.statistics.learning import (
     AUTO,
@@ -113,6 +113,7 @@ def read_evaluations(job: Path, purpose: str = "scheduled") -> dict[str, NDArray
     confirmed = all(trial in last and 0 < i <= last[trial] for trial, i in found[1])
     if not (found[0] == scheduled and found[2] == finals and confirmed):
         raise ResultsError(f"{where}: its episodes do not match {TRIALS}")
+    check_files(job, names=[EVALUATIONS])
     chosen = kinds == PURPOSES.index(purpose)
     return {name: column[chosen] for name, column in columns.items()}
 
@@ -133,11 +134,12 @@ def read_visits(job: Path) -> dict[str, NDArray[np.int64]] | None:
     if not where.exists():
         return None
     try:
-        found = load(where.read_bytes())
+        found = load(read_file(where))
     except (SafetensorError, OSError, ValueError) as error:
         raise ResultsError(f"{where}: not readable as safetensors ({error})") from None
     shapes = [found[name].shape for name in ("visits", "reached") if name in found]
     whole = len(shapes) == 2 and shapes[0] == shapes[1] and len(shapes[0]) == 3
     if not whole or found.get("iteration", np.zeros(0)).shape != shapes[0][:1]:
         raise ResultsError(f"{where}: does not hold iteration, visits and reached")
+    check_files(job, names=[VISITS])
     return found

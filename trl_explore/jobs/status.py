@@ -16,8 +16,9 @@ from typing import Any
 
 from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
 from trl_explore.jobs.checkpoint import SLOTS
-from trl_explore.jobs.columns import EPISODES, RUN, TRIALS, ResultsError, read_file
-from trl_explore.jobs.console import text_table
+from trl_explore.jobs.columns import EPISODES, TRIALS
+from trl_explore.jobs.console import printable, text_table
+from trl_explore.jobs.files import RUN, ResultsError, read_file
 from trl_explore.jobs.lock import NAME as LOCK
 from trl_explore.jobs.lock import is_locked
 from trl_explore.jobs.sweeps import MULTIRUN, SWEEP, read_asked, read_failures
@@ -206,7 +207,7 @@ def report(sweep: SweepStatus, *, everything: bool = False) -> str:
     left = counts[CUT] + counts[LEFT]
     cut = f" ({counts[CUT]} of them cut off)" if counts[CUT] else ""
     lines = [
-        f"{_printable(str(sweep.folder))}: {counts[DONE]} of {len(sweep.jobs)} done, "
+        f"{printable(str(sweep.folder))}: {counts[DONE]} of {len(sweep.jobs)} done, "
         f"{counts[RUNNING]} running, {counts[FAILURE]} failed, {left} left{cut}"
     ]
     shown = [
@@ -223,9 +224,4 @@ def _row(job: JobStatus) -> tuple[str, ...]:
     if job.state != DONE and job.iterations is not None and job.cap is not None:
         iterations += f" of {job.cap:,}"
     seconds = "–" if job.seconds is None else f"{job.seconds:,.1f}"
-    return _printable(job.name), job.state, iterations, seconds, _printable(job.reason)
-
-
-def _printable(text: str) -> str:
-    """A text from a file or a folder name, without terminal control characters."""
-    return "".join(c if c.isprintable() else "?" for c in text)
+    return printable(job.name), job.state, iterations, seconds, printable(job.reason)

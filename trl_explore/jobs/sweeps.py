@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from trl_explore.jobs.columns import RUN, read_file, write_whole
+from trl_explore.jobs.files import RUN, read_file, write_whole
 
 SWEEP, FAILED, MULTIRUN = "sweep.json", ".failed", "multirun.yaml"
 

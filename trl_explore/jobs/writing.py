@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
@@ -21,11 +20,11 @@ from trl_explore.jobs.columns import (
     EPISODES,
     EVALUATION_COLUMNS,
     EVALUATIONS,
+    KEPT,
     LEARN_COLUMNS,
     PACKAGES,
     PASS_COLUMNS,
     PURPOSE_COLUMNS,
-    RUN,
     SCALARS,
     TIMING_COLUMNS,
     TIMINGS,
@@ -34,10 +33,9 @@ from trl_explore.jobs.columns import (
     VISITS,
     WEIGHTS,
     join_rows,
-    named,
     table_text,
-    write_whole,
 )
+from trl_explore.jobs.files import RUN, named, record, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,7 +46,7 @@ if TYPE_CHECKING:
 
 def clear(job: Path) -> None:
     """Remove the results of a job, finished or unfinished, from its folder; ``run.json`` first."""
-    for name in (RUN, TRIALS, EPISODES, EVALUATIONS, WEIGHTS, VISITS):
+    for name in (RUN, TRIALS, EPISODES, EVALUATIONS, WEIGHTS, KEPT, VISITS):
         (job / name).unlink(missing_ok=True)
     for temporary in job.glob(".*.tmp"):
         if temporary.is_dir():
@@ -75,6 +73,7 @@ def write_job(
     collector: str,
     seconds: float,
     episodes: bool = True,
+    kept: Mapping[str, NDArray[Any]] | None = None,
     evaluations: Mapping[str, NDArray[Any]] | None = None,
     learned: Mapping[str, NDArray[Any]] | None = None,
     diagnostics: Mapping[str, NDArray[Any]] | None = None,
@@ -92,12 +91,14 @@ def write_job(
         collector: name of the collector that was used.
         seconds: wall time of the training, without compilation.
         episodes: whether to write ``episodes.csv``.
+        kept: the arrays of ``kept_weights.safetensors``; None: do not write it.
         evaluations: the columns of ``evaluations.csv``; None: do not write it.
         learned: the columns ``LEARN_COLUMNS`` of ``trials.csv``; None: do not write them.
         diagnostics: further columns of ``episodes.csv``, one entry per iteration and active trial.
         visits: the arrays of ``visits.safetensors``; None: do not write it.
     """
     import torch
+    from safetensors.numpy import save
 
     _write_text(job / TRIALS, _trials_csv(trials, config, learned or {}))
     if episodes:
@@ -108,10 +109,10 @@ def write_job(
         _write_text(job / EVALUATIONS, table_text(EVALUATION_COLUMNS | PURPOSE_COLUMNS, values))
     _write_scalars(job, trials)
     _write_weights(job / WEIGHTS, weights)
-    if visits is not None:
-        from safetensors.numpy import save
-
-        write_whole(job / VISITS, save({name: a.copy() for name, a in visits.items()}))
+    for name, arrays in ((KEPT, kept), (VISITS, visits)):
+        if arrays is not None:
+            write_whole(job / name, save({key: a.copy() for key, a in arrays.items()}))
+    paths = [job / name for name in (TRIALS, EPISODES, EVALUATIONS, WEIGHTS, KEPT, VISITS)]
     run = {
         "status": "finished",
         "experiment": experiment,
@@ -122,7 +123,7 @@ def write_job(
         "seconds": seconds,
         "iterations": trials.iteration,
         "threads": {"compiled": config["threads"], "torch": torch.get_num_threads()},
-        "files": _record(job),
+        "files": record(job, [*paths, *sorted((job / SCALARS).glob("*.csv"))]),
         "config": config,
         "versions": versions(),
         "code": code_digests(config),
@@ -130,22 +131,6 @@ def write_job(
     }
     _sync(job)
     _write_text(job / RUN, json.dumps(run, indent=2) + "\n")
-
-
-def _record(job: Path) -> dict[str, dict[str, Any]]:
-    """The length in bytes and SHA-256 of every file of the job, for ``run.json``."""
-    names = (TRIALS, EPISODES, EVALUATIONS, WEIGHTS, VISITS)
-    paths = [job / name for name in names] + sorted((job / SCALARS).glob("*.csv"))
-    return {
-        path.relative_to(job).as_posix(): {"bytes": path.stat().st_size, "sha256": _digest(path)}
-        for path in paths
-        if path.is_file()
-    }
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _write_text(path: Path, text: str) -> None:

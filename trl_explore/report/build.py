@@ -8,7 +8,6 @@ from pathlib import Path
 
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.report.claims import claims_table, why_tables
-from trl_explore.report.decomposition_tables import decomposition_tables
 from trl_explore.report.evidence import gather
 from trl_explore.report.figures import draw_all, draw_why
 from trl_explore.report.loading import Gap, load
@@ -20,6 +19,7 @@ from trl_explore.report.results_tables import (
     summary_table,
 )
 from trl_explore.report.tables import Table
+from trl_explore.report.why import decomposition_tables
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
 
-from trl_explore.report.evidence import Evidence, GroupEvidence
-from trl_explore.report.figures.axes import number
+from trl_explore.report.evidence import Evidence
+from trl_explore.report.results_tables import crossed_table
 from trl_explore.report.tables import Column, Record, Table
 from trl_explore.statistics.power import trials_text
-from trl_explore.statistics.summary import Summary
 from trl_explore.thesis import Checked
 from trl_explore.thesis.why import Reexamined
 
@@ -132,42 +130,6 @@ def conclusions_table(reexamined: Sequence[Reexamined]) -> Table:
     return Table("why-conclusions", title, columns, records, main=True, kind="claims")
 
 
-def crossed_table(part: GroupEvidence) -> Table:
-    """One row per row of a crossed group, one column per option: pass rate, mean and median."""
-    layout = part.group.crossed
-    assert layout is not None
-    records: list[dict[str, Any]] = []
-    for k, row in enumerate(layout.rows):
-        record: dict[str, Any] = {"row": row}
-        for o, option in enumerate(layout.options):
-            name = layout.cells.get((k, o))
-            if name is not None:
-                summary = part.summary(name)
-                numbers = {
-                    "pass_rate": summary.pass_rate.value,
-                    "pass_rate_low": summary.pass_rate.low,
-                    "pass_rate_high": summary.pass_rate.high,
-                    "restricted_mean": summary.restricted_mean.value,
-                    "restricted_mean_low": summary.restricted_mean.low,
-                    "restricted_mean_high": summary.restricted_mean.high,
-                    "median": summary.median.value,
-                    "summary": _cell(summary),
-                }
-                record |= {f"{option}: {key}": value for key, value in numbers.items()}
-        records.append(record)
-
-    def cell(option: str) -> Callable[[Record], str]:
-        return lambda r: str(r.get(f"{option}: summary", "–"))
-
-    columns = [Column("row", part.group.title, lambda r: r["row"])]
-    columns += [
-        Column(f"{option}: restricted_mean", option, cell(option), True)
-        for option in layout.options
-    ]
-    title = f"{part.group.title}: passed, mean and median iterations"
-    return Table(f"{part.group.id}-crossed", title, columns, records, main=True)
-
-
 def distance(evidence: Evidence) -> str:
     """A text on the smallest distance from μ to π at which most uncorrected trials failed."""
     found = []
@@ -199,13 +161,3 @@ def distance(evidence: Evidence) -> str:
 
 def _verdict_column(key: str, title: str) -> Column:
     return Column(key, title, lambda r: r[key], css=lambda r: f"verdict {VERDICTS[r[key]][1]}")
-
-
-def _cell(s: Summary) -> str:
-    middle = number(s.median.value) if s.median.value < float("inf") else "not reached"
-    low, high = 100 * s.pass_rate.low, 100 * s.pass_rate.high
-    mean = s.restricted_mean
-    return (
-        f"{s.converged} of {s.n} ({low:.0f} to {high:.0f} %)\nmean {mean.value:,.0f}"
-        f" ({mean.low:,.0f} to {mean.high:,.0f})\nmedian {middle}"
-    )

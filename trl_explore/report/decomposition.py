@@ -12,18 +12,179 @@ For every strategy that was run beside softmax, three questions:
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trl_explore.report.cells import Crossing, Run, crossings
+from trl_explore.names import option_of, strategy_label, symbol
+from trl_explore.report.curves import Heights
+from trl_explore.report.groups import Group
 from trl_explore.statistics.comparisons import holm
 from trl_explore.statistics.decomposition import Cells, aligned, share_of
 from trl_explore.statistics.estimates import LEVEL, Estimate
 from trl_explore.statistics.means import mean_difference, mean_interval
-from trl_explore.statistics.pairing import trial_keys
+from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.pairing import AGENT_GROUPS, NO_AGENT, trial_keys
+from trl_explore.statistics.samples import Sample, iterations, scores
+
+PLAIN, RATIO, AS_IF = "NoCorrection", "PerStep", "AsIf"
+REFERENCE = "softmax"
+CELLS = ("reference", "plain", "assumed", "corrected")
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A configuration by both measures, and the heights of its curves, if they are known."""
+
+    environment: str
+    passed: Outcomes
+    learned: Outcomes | None = None
+    heights: Heights | None = None
+
+    @property
+    def option(self) -> str:
+        """The class of its correction; empty if weights are clipped or normalised."""
+        correction = self.passed.config.get("correction", {})
+        unusual = correction.get("clip") is not None or correction.get("self_normalize")
+        return "" if unusual else option_of(self.passed.config, "correction")
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether the actions are drawn from the policy itself."""
+        return (
+            self.passed.strategy == REFERENCE and self.passed.parameters.get("temperature", 1) == 1
+        )
+
+    @property
+    def acts(self) -> str:
+        """Canonical text of the strategy that acts."""
+        return _text([self.passed.strategy, self.passed.config.get("strategy")])
+
+    @property
+    def strategy(self) -> str:
+        """Canonical text of the strategy alone, as a correction may name it."""
+        return _text(self.passed.config.get("strategy"))
+
+    @property
+    def assumes(self) -> str:
+        """Canonical text of the strategy that its correction names."""
+        return _text(self.passed.config.get("correction", {}).get("strategy"))
+
+    def samples(self) -> dict[str, Sample]:
+        """Quantity -> its sample; without the quantities that are unknown."""
+        found = {"passing": iterations(self.passed)}
+        if self.learned is not None:
+            found |= {"learning": iterations(self.learned), "learned_score": scores(self.learned)}
+        if (h := self.heights) is not None:
+            heights = {
+                "height": h.learned, "behaved": h.behaved, "evaluated": h.evaluated,
+                "handicap": h.evaluated - h.behaved,
+            }  # fmt: skip
+            passed = np.ones(len(h.keys), dtype=np.bool_)
+            found |= {k: Sample(k, "", x, passed, tuple(h.keys)) for k, x in heights.items()}
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """A strategy beside softmax, each with a right and with a biased gradient.
+
+    ``cells`` has the runs by their names in ``statistics.decomposition``; the last two may be
+    missing.
+    """
+
+    environment: str
+    label: str
+    reference: Run
+    plain: Run
+    assumed: Run | None
+    corrected: Run | None
+
+    @property
+    def cells(self) -> dict[str, Run]:
+        """Name of the cell -> run."""
+        named = {name: getattr(self, name) for name in CELLS}
+        return {name: run for name, run in named.items() if run is not None}
+
+
+def runs_of(group: Group, heights: Mapping[str, Heights]) -> list[Run]:
+    """The configurations of a group."""
+    learned = {c.name: c for c in group.learned}
+    return [
+        Run(group.environment, c, learned.get(c.name), heights.get(c.name))
+        for c in group.configurations
+    ]
+
+
+def crossings(runs: Sequence[Run]) -> list[Crossing]:
+    """Every strategy that was run beside softmax and has a further cell, in the order of the runs.
+
+    The cells may belong to several experiments, but agree in everything else: environment, policy,
+    loss, optimiser and stopping rule.
+    """
+    found = []
+    places = _places(runs)
+    for plain in runs:
+        mates = [run for run in runs if _world(run) == _world(plain)]
+        if plain.option != PLAIN or plain.is_reference or _first(mates, PLAIN, plain) is not plain:
+            continue
+        softmax = [run for run in mates if run.is_reference]
+        right = [run for option in (PLAIN, RATIO) for run in softmax if run.option == option]
+        biased = [r for r in softmax if r.option == AS_IF and r.assumes == plain.strategy]
+        corrected = _first(mates, RATIO, plain)
+        if right and (biased or corrected is not None):
+            assumed = biased[0] if biased else None
+            place = places[_world(plain)]
+            label = _label(plain, mates)
+            found.append(Crossing(place, label, right[0], plain, assumed, corrected))
+    return found
+
+
+def _first(runs: Sequence[Run], option: str, acting: Run) -> Run | None:
+    return next((r for r in runs if r.option == option and r.acts == acting.acts), None)
+
+
+def _label(run: Run, runs: Sequence[Run]) -> str:
+    """The strategy; with its parameters if there are several of the name."""
+    name, own = run.passed.strategy, run.passed.parameters
+    alike = {r.acts for r in runs if r.passed.strategy == name}
+    if len(alike) < 2:
+        return strategy_label(name)
+    shown = (f"{symbol(k)} = {v:g}" for k, v in own.items() if isinstance(v, int | float))
+    return ", ".join([strategy_label(name), *shown])
+
+
+def _places(runs: Sequence[Run]) -> dict[str, str]:
+    """The name of every environment, unique: "FrozenLake-v1 (8x8)", "CartPole-v1, 2"."""
+    found: dict[str, str] = {}
+    for run in runs:
+        env = run.passed.config.get("env")
+        options = env.get("kwargs") if isinstance(env, Mapping) else None
+        shown = ", ".join(str(v) for v in (options or {}).values() if isinstance(v, str))
+        name = f"{run.environment} ({shown})" if shown else run.environment
+        if _world(run) not in found:
+            count = sum(o == name or o.startswith(f"{name}, ") for o in found.values())
+            found[_world(run)] = f"{name}, {count + 1}" if count else name
+    return found
+
+
+def _world(run: Run) -> str:
+    """Canonical text of everything but the strategy and the correction."""
+    config, o = run.passed.config, run.passed
+    groups = {key: config.get(key) for key in AGENT_GROUPS if key != "correction"}
+    if isinstance(env := groups.get("env"), Mapping):
+        groups["env"] = {key: value for key, value in env.items() if key not in NO_AGENT}
+    return _text([groups, o.cap, o.threshold, o.window, config.get("stop_on", "training")])
+
+
+def _text(value: Any) -> str:
+    """Canonical text, in which 1 and 1.0 are equal."""
+    return json.dumps(json.loads(json.dumps(value, default=str), parse_int=float), sort_keys=True)
+
 
 QUANTITIES: Mapping[str, str] = {
     "learning": "iterations to learning",

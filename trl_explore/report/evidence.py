@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 from trl_explore.names import experiment
-from trl_explore.report import sizes
-from trl_explore.report.cells import runs_of
 from trl_explore.report.curves import Traces, read_traces
-from trl_explore.report.decomposition import Decomposition, decompose
+from trl_explore.report.decomposition import Decomposition, decompose, runs_of
 from trl_explore.report.groups import Group, group_jobs
-from trl_explore.report.headline import headline
+from trl_explore.report.layouts import pairs_by_size, size_sentence
 from trl_explore.report.loading import Gap, Loaded
 from trl_explore.report.sentences import (
     answer,
@@ -21,6 +19,7 @@ from trl_explore.report.sentences import (
     score_sentence,
     verdicts,
 )
+from trl_explore.report.why import headline
 from trl_explore.statistics.comparisons import SCORE, Comparison, compare_pairs
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
@@ -124,7 +123,7 @@ def _why(study: Study) -> tuple[list[why.Reexamined], list[Checked]]:
 
 def _group_evidence(group: Group, gaps: list[Gap]) -> GroupEvidence:
     traces = Traces() if group.plane is not None else read_traces(group)
-    gaps.extend(traces.gaps)
+    gaps.extend(found for found in traces.gaps if found not in gaps)
     found = _measured(group, traces)
     if not group.learned:
         return found
@@ -177,7 +176,7 @@ def _scores_said(
 def _pairs(group: Group) -> list[tuple[Outcomes, Outcomes]]:
     """The planned pairs of a group with a layout; without one, all pairs."""
     if group.sized:
-        return list(sizes.pairs(group.configurations))
+        return list(pairs_by_size(group.configurations))
     layout = group.crossed or group.plane
     if layout is None:
         return list(combinations(group.configurations, 2))
@@ -214,7 +213,7 @@ def _cut_short(group: Group) -> tuple[str, ...]:
 
 def _sentences(group: Group, comparisons: Sequence[Comparison]) -> tuple[str, ...]:
     if group.sized:
-        return (sizes.sentence(group.configurations),)
+        return (size_sentence(group.configurations),)
     if group.plane is not None:
         return plane_sentences(group.configurations, comparisons, group.labels)
     if group.crossed is not None and comparisons:

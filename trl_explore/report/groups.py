@@ -6,7 +6,7 @@ with options, or a plane of two parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,11 +14,8 @@ from numpy.typing import NDArray
 
 from trl_explore.names import (
     EXPERIMENTS,
-    OPTIONS,
     experiment,
     experiment_rank,
-    option_label,
-    option_of,
     strategy_label,
     symbol,
 )
@@ -29,72 +26,11 @@ from trl_explore.report.labels import (
     swept_parameter,
     swept_parameters,
 )
+from trl_explore.report.layouts import SIZE, Crossed, Plane, crossed, plane
 from trl_explore.report.loading import Job
 from trl_explore.report.style import Style, option_styles, styles
 from trl_explore.statistics.outcomes import Outcomes, judged
 from trl_explore.statistics.pairing import configuration_key, deduplicate, pool, select
-
-THESIS: Mapping[str, float] = {"epsilon": 0.0, "temperature": 1.0}
-"""The thesis's softmax as a point of the mixtures of softmax and random actions."""
-SIZE = "env.kwargs.size"
-"""The key of the size of a task."""
-PLANE_FROM = 3
-"""Fewest values of each parameter of a plane."""
-
-
-@dataclass(frozen=True)
-class Crossed:
-    """Rows (strategies, temperatures) crossed with the options of one group.
-
-    Attributes:
-        of: the configuration group, for example ``correction``.
-        rows: labels of the rows.
-        options: labels of the options; the others are compared with the first.
-        cells: (row, option) -> name of the configuration; some may be missing.
-
-    """
-
-    of: str
-    rows: tuple[str, ...]
-    options: tuple[str, ...]
-    cells: Mapping[tuple[int, int], str]
-
-    def pairs(self) -> list[tuple[str, str]]:
-        """Names of configurations: (first option, other option) of every row."""
-        return [
-            (self.cells[row, 0], name)
-            for (row, option), name in sorted(self.cells.items())
-            if option and (row, 0) in self.cells
-        ]
-
-
-@dataclass(frozen=True)
-class Plane:
-    """Two parameters of one strategy, both varied.
-
-    Attributes:
-        x: label of the first parameter.
-        y: label of the second parameter.
-        xs: values of the first, ascending.
-        ys: values of the second, ascending.
-        cells: (index in xs, index in ys) -> name of the configuration; some may be missing.
-        reference: the thesis's configuration, if it is one of the cells.
-
-    """
-
-    x: str
-    y: str
-    xs: tuple[float, ...]
-    ys: tuple[float, ...]
-    cells: Mapping[tuple[int, int], str]
-    reference: str | None
-
-    def pairs(self) -> list[tuple[str, str]]:
-        """Names of configurations: (reference, other) for every other point."""
-        if self.reference is None:
-            return []
-        others = (name for _, name in sorted(self.cells.items()) if name != self.reference)
-        return [(self.reference, name) for name in others]
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,51 +119,6 @@ def group_jobs(jobs: Sequence[Job]) -> list[Group]:
             for g in groups
         ]
     return groups
-
-
-def crossed(configurations: Sequence[Outcomes]) -> Crossed | None:
-    """The layout of configurations that differ in the options of one group and in other factors."""
-    parts = label_parts(configurations)
-    groups = {key for words in parts.values() for key in words if key in OPTIONS}
-    if len(groups) != 1:
-        return None
-    (of,) = groups
-    rows: dict[str, int] = {}
-    options: dict[str, int] = {}
-    cells: dict[tuple[int, int], str] = {}
-    for c in configurations:
-        words = dict(parts[c.name])
-        option = words.pop(of, "") or option_label(of, option_of(c.config, of))
-        row = rows.setdefault(", ".join(words.values()), len(rows))
-        place = row, options.setdefault(option, len(options))
-        if place in cells:
-            return None
-        cells[place] = c.name
-    if len(rows) < 2 or len(options) < 2:
-        return None
-    return Crossed(of, tuple(rows), tuple(options), cells)
-
-
-def plane(configurations: Sequence[Outcomes]) -> Plane | None:
-    """The layout of configurations that differ in two numeric parameters of their strategy."""
-    keys = swept_parameters(configurations)
-    if len(keys) != 2:
-        return None
-    points: dict[tuple[float, float], str] = {}
-    for c in configurations:
-        values = [c.parameters.get(key) for key in keys]
-        numbers = [v for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
-        if len(numbers) < len(values):
-            return None
-        x, y = map(float, numbers)
-        points[x, y] = c.name
-    xs, ys = (tuple(sorted({point[k] for point in points})) for k in (0, 1))
-    if min(len(xs), len(ys)) < PLANE_FROM or len(points) < len(configurations):
-        return None
-    cells = {(xs.index(x), ys.index(y)): name for (x, y), name in points.items()}
-    thesis = [THESIS.get(key, -1.0) for key in keys]
-    reference = points.get((thesis[0], thesis[1]))
-    return Plane(symbol(keys[0]), symbol(keys[1]), xs, ys, cells, reference)
 
 
 def _id(experiment: str) -> str:

@@ -70,10 +70,12 @@ def load(folders: Sequence[Path]) -> Loaded:
     for folder in (job for job, done in found.items() if done):
         try:
             outcomes = _checked(results.read_job(folder), folder)
+            flaws = [ResultsError(flaw) for flaw in results.flaws(folder, up_to=results.SMALL)]
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             errors.append(_of_job(error, folder))
             gaps.append(gap(folder, errors[-1]))
             continue
+        gaps += [gap(folder, flaw) for flaw in flaws]
         if folder.parent not in timings:
             timings[folder.parent] = _timings(folder.parent, gaps)
         timing = _timing_of(timings[folder.parent], outcomes)

@@ -10,10 +10,10 @@ import numpy as np
 
 from trl_explore.report.evidence import Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
-from trl_explore.report.numbers import figure
-from trl_explore.report.tables import Column, Record, Table
+from trl_explore.report.tables import Column, Record, Table, figure
 from trl_explore.statistics.estimates import flat
 from trl_explore.statistics.power import trials_text, trials_to_settle
+from trl_explore.statistics.summary import Summary
 
 UNKNOWN = (-math.inf, math.inf)
 
@@ -101,6 +101,52 @@ def comparison_table(evidence: GroupEvidence, *, learned: bool = False) -> Table
         title += ", by what was learned"
     end = "pairs-learned" if learned else "pairs"
     return Table(f"{evidence.group.id}-{end}", title, columns, records, main=True)
+
+
+def crossed_table(part: GroupEvidence) -> Table:
+    """One row per row of a crossed group, one column per option: pass rate, mean and median."""
+    layout = part.group.crossed
+    assert layout is not None
+    records: list[dict[str, Any]] = []
+    for k, row in enumerate(layout.rows):
+        record: dict[str, Any] = {"row": row}
+        for o, option in enumerate(layout.options):
+            name = layout.cells.get((k, o))
+            if name is not None:
+                summary = part.summary(name)
+                numbers = {
+                    "pass_rate": summary.pass_rate.value,
+                    "pass_rate_low": summary.pass_rate.low,
+                    "pass_rate_high": summary.pass_rate.high,
+                    "restricted_mean": summary.restricted_mean.value,
+                    "restricted_mean_low": summary.restricted_mean.low,
+                    "restricted_mean_high": summary.restricted_mean.high,
+                    "median": summary.median.value,
+                    "summary": _cell(summary),
+                }
+                record |= {f"{option}: {key}": value for key, value in numbers.items()}
+        records.append(record)
+
+    def cell(option: str) -> Callable[[Record], str]:
+        return lambda r: str(r.get(f"{option}: summary", "–"))
+
+    columns = [Column("row", part.group.title, lambda r: r["row"])]
+    columns += [
+        Column(f"{option}: restricted_mean", option, cell(option), True)
+        for option in layout.options
+    ]
+    title = f"{part.group.title}: passed, mean and median iterations"
+    return Table(f"{part.group.id}-crossed", title, columns, records, main=True)
+
+
+def _cell(s: Summary) -> str:
+    middle = number(s.median.value) if s.median.value < float("inf") else "not reached"
+    low, high = 100 * s.pass_rate.low, 100 * s.pass_rate.high
+    mean = s.restricted_mean
+    return (
+        f"{s.converged} of {s.n} ({low:.0f} to {high:.0f} %)\nmean {mean.value:,.0f}"
+        f" ({mean.low:,.0f} to {mean.high:,.0f})\nmedian {middle}"
+    )
 
 
 def jobs_table(evidence: Evidence) -> Table:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from trl_explore.report.numbers import figure, interval, negated
+from trl_explore.report.tables import figure, interval, negated
 from trl_explore.statistics.comparisons import Comparison
 from trl_explore.statistics.estimates import LEVEL, pass_rate
 from trl_explore.statistics.outcomes import Outcomes

@@ -1,9 +1,10 @@
-"""A table, and its CSV, LaTeX and Markdown; the template of the page writes HTML."""
+"""Tables as CSV, LaTeX and Markdown; numbers with their intervals as text."""
 
 from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ from html import escape
 from typing import Any
 
 import pandas as pd
+
+from trl_explore.statistics.estimates import Estimate
 
 Record = Mapping[str, Any]
 
@@ -59,8 +62,8 @@ class Table:
         keys = list(dict.fromkeys(key for record in self.records for key in record))
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow(keys)
-        writer.writerows([[plain(record.get(key)) for key in keys] for record in self.records])
+        writer.writerow(map(_cell, keys))
+        writer.writerows([[_cell(record.get(key)) for key in keys] for record in self.records])
         return buffer.getvalue()
 
     def rows(self) -> list[list[str]]:
@@ -98,6 +101,12 @@ def plain(value: Any) -> str:
     return repr(float(value)) if isinstance(value, float) else str(value)
 
 
+def _cell(value: Any) -> str:
+    """The text of a CSV cell; one that a spreadsheet would run as a formula starts with ``'``."""
+    text = plain(value)
+    return f"'{text}" if isinstance(value, str) and text[:1] in tuple("=+-@\t\r") else text
+
+
 def _markdown(text: str) -> str:
     safe = escape("".join(c if c.isprintable() else " " for c in text), quote=False)
     return re.sub(r"([\\`*_|\[\]#])", r"\\\1", safe)
@@ -116,3 +125,66 @@ _LATEX = {
 def _latex(text: str) -> str:
     """Escape text for LaTeX: no commands, no comments, no line breaks."""
     return "".join(_LATEX.get(c, c if c.isprintable() else " ") for c in text)
+
+
+def figure(x: float) -> str:
+    """A number with at least three significant digits.
+
+    >>> figure(1234.5), figure(44.68), figure(-0.01234), figure(math.inf)
+    ('1,234', '44.7', '−0.0123', '∞')
+    """
+    if not math.isfinite(x):
+        return "–" if math.isnan(x) else "∞" if x > 0 else "−∞"
+    size = abs(x)
+    digits = 0 if size >= 99.95 or size == 0 else 1 if size >= 9.995 else 2
+    text = f"{x:,.{digits}f}" if size >= 0.9995 or size == 0 else f"{x:.3g}"
+    return _signed(text)
+
+
+def interval(e: Estimate) -> str:
+    """An estimate with its interval.
+
+    >>> interval(Estimate(27.31, 24.08, 30.6)), interval(Estimate(1.0, math.nan, math.nan))
+    ('27.3 [24.1, 30.6]', '1.00')
+    """
+    if math.isnan(e.low) or (e.low, e.high) == (-math.inf, math.inf):
+        return figure(e.value)
+    return f"{figure(e.value)} [{figure(e.low)}, {figure(e.high)}]"
+
+
+def negated(e: Estimate) -> Estimate:
+    """The estimate of −θ.
+
+    >>> negated(Estimate(1.0, 0.5, 2.0))
+    Estimate(value=-1.0, low=-2.0, high=-0.5, level=0.95)
+    """
+    return Estimate(-e.value, -e.high, -e.low, e.level)
+
+
+def percent(e: Estimate | None) -> str:
+    """A share with its interval in percent; a dash for None.
+
+    >>> percent(Estimate(0.914, 0.9, 0.922)), percent(Estimate(math.nan, math.nan, math.nan))
+    ('91 % [90, 92]', 'not estimable')
+    """
+    if e is None:
+        return "–"
+    if math.isnan(e.value):
+        return "not estimable"
+    value, low, high = (_signed(f"{100 * x:,.0f}") for x in (e.value, e.low, e.high))
+    return f"{value} % [{low}, {high}]"
+
+
+def p_value(p: float) -> str:
+    """A p-value, or a bound.
+
+    >>> p_value(0.04), p_value(0.00004)
+    ('= 0.04', '< 0.001')
+    """
+    return "< 0.001" if p < 0.001 else f"= {p:.3f}".rstrip("0").rstrip(".")
+
+
+def _signed(text: str) -> str:
+    """The text with a proper minus, and none before zero."""
+    nothing = not text.strip("-0.")
+    return text.removeprefix("-") if nothing else text.replace("-", "−")

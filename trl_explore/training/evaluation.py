@@ -29,6 +29,7 @@ from trl_explore.strategies import (
     Softmax,
     Strategy,
 )
+from trl_explore.training.episodes import flatten, unflatten
 
 SCHEDULED, CONFIRMATION, FINAL = range(3)
 """Indices into ``learning.PURPOSES``."""
@@ -226,8 +227,7 @@ class Evaluator:
     def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
         """The episodes after the first ``since`` iterations, up to and with ``until``.
 
-        Iteration 0 belongs to the first part. Every call of the collector gives one entry of
-        "iterations", "purposes", "counts" (of trials) and "widths" (episodes per trial).
+        Iteration 0 belongs to the first part. Every call of the collector gives one entry.
         """
         last = math.inf if until is None else until
         part = [
@@ -236,24 +236,16 @@ class Evaluator:
         return {
             "iterations": np.array([row[0][0] for row in part], dtype=np.int64),
             "purposes": np.array([row[1] for row in part], dtype=np.int64),
-            "counts": np.array([len(row[2]) for row in part], dtype=np.int64),
-            "widths": np.array([row[3].shape[1] for row in part], dtype=np.int64),
-            "trial": np.concatenate([np.empty(0, np.int64), *(row[2] for row in part)]),
-            "scores": np.concatenate([np.empty(0), *(row[3].reshape(-1) for row in part)]),
+            **flatten([row[2:] for row in part], ("trial", "score")),
         }
 
     def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
         """Append the output of ``history``."""
-        names = ("iterations", "purposes", "counts", "widths")
-        low = start = 0
-        for iteration, purpose, count, width in zip(
-            *(columns[name].tolist() for name in names), strict=True
-        ):
-            high, stop = low + count, start + count * width
-            scores = columns["scores"][start:stop].reshape(count, width)
-            at, trials = np.full(count, iteration), columns["trial"][low:high]
-            self._rows.append((at, purpose, trials, scores))
-            low, start = high, stop
+        kinds = (columns[name].tolist() for name in ("iterations", "purposes"))
+        entries = unflatten(columns, ("trial", "score"))
+        for iteration, purpose, (trials, scores) in zip(*kinds, entries, strict=True):
+            at = np.full(len(trials), iteration)
+            self._rows.append((at, purpose, trials, scores.reshape(len(trials), -1)))
 
 
 def episode_number(purpose: int, iteration: Any, episode: Any) -> Any:

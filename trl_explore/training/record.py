@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,18 @@ from trl_explore.checks import check_integer, check_number
 from trl_explore.numerics.compiled import arrays
 from trl_explore.numerics.compiled.arrays import borrow
 from trl_explore.numerics.compiled.cache import compiled
+from trl_explore.training.episodes import flatten, unflatten
 
 STATUSES = np.array(["active", "converged", "capped", "diverged"])
 ACTIVE, CONVERGED, CAPPED, DIVERGED = range(4)
 STOP_ON = ("training", "learned", "both", "never")
 CURVES = ("episode_score", "score", "active", "converged")
+_RESULTS = ("_status", "iterations", "frames", "seconds", "score", "passed", "_passed_at")
+_STATE = (*_RESULTS, "_episode_score", "_window", "_sum")
+"""The arrays that a checkpoint keeps; the last dimension of each is that of the trials."""
+_COLUMNS = ("trial", "score", "frames")
+_Episodes = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]
+"""Trial [active], score and frames [active] or [active, k] of an iteration's episodes."""
 
 
 class Trials:
@@ -74,7 +81,7 @@ class Trials:
         self._window = np.zeros((self.score_window, n))
         self._sum = np.zeros(n)
         """Sum of the scores in the window; empty places count 0 [n]."""
-        self._episodes: list[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]] = []
+        self._episodes: list[_Episodes] = []
 
     @classmethod
     def joined(cls, parts: Sequence[Trials]) -> Trials:
@@ -89,18 +96,18 @@ class Trials:
             score_window=first.score_window,
             stop_on=first.stop_on,
         )
-        names = ("_status", "active", "iterations", "frames", "seconds", "score", "passed")
-        for name in (*names, "_passed_at"):
+        for name in (*_RESULTS, "active"):
             setattr(out, name, np.concatenate([getattr(part, name) for part in parts], axis=-1))
         offsets = np.cumsum([0, *map(len, parts)])
         for i in range(max(part.iteration for part in parts)):
             rows = [
-                (trial + offset, scores, frames)
+                (trial + offset, *cells)
                 for part, offset in zip(parts, offsets.tolist(), strict=False)
-                for trial, scores, frames in part._episodes[i : i + 1]
+                for trial, *cells in part._episodes[i : i + 1]
             ]
-            trial, scores, frames = map(np.concatenate, zip(*rows, strict=True))
-            out._episodes.append((trial, scores, frames))
+            out._episodes.append(
+                cast(_Episodes, tuple(map(np.concatenate, zip(*rows, strict=True))))
+            )
         return out
 
     def __len__(self) -> int:
@@ -130,7 +137,7 @@ class Trials:
             learned: whether each trial has learned [n]; needed if that can stop it.
         """
         (trial,) = self.active.nonzero()
-        highest = self._enter(trial, scores, frames, seconds)
+        highest = self._enter((trial, scores, frames), seconds)
         full = self._n_episodes >= self.score_window
         if full and highest > self.score_threshold:
             new = trial[(self.score[trial] > self.score_threshold) & ~diverged]
@@ -153,15 +160,10 @@ class Trials:
             raise ValueError(f"stop_on={self.stop_on} needs to know which trials have learned")
         return learned[trial] if self.stop_on == "learned" else (learned & self.passed)[trial]
 
-    def _enter(
-        self,
-        trial: NDArray[np.int64],
-        scores: NDArray[np.float64],
-        frames: NDArray[np.int64],
-        seconds: float,
-    ) -> float:
-        """Record the episodes of these trials; returns the highest of their final scores."""
-        self._episodes.append((trial, scores, frames))
+    def _enter(self, episodes: _Episodes, seconds: float) -> float:
+        """Record the episodes of an iteration; returns the highest final score of their trials."""
+        self._episodes.append(episodes)
+        trial, scores, frames = episodes
         columns = scores.reshape(len(trial), -1)
         first = self._n_episodes % self.score_window
         self._n_episodes += columns.shape[1]
@@ -206,18 +208,16 @@ class Trials:
         Up to and including its last iteration a trial counts with the score of its episode,
         afterwards with its final score.
         """
-        again, n, stopped = (
-            Trials(len(self), score_window=self.score_window),
-            len(self),
-            ~self.active,
-        )
+        again, n = Trials(len(self), score_window=self.score_window), len(self)
+        stopped = ~self.active
         ends, converged = (
             np.bincount(self.iterations[which], minlength=self.iteration + 1)[1:]
             for which in (stopped, self.converged)
         )
         averages = np.empty((2, self.iteration))
-        for i, (trial, scores, frames) in enumerate(self._episodes):
-            again._enter(trial, scores, frames, 0.0)
+        for i, episodes in enumerate(self._episodes):
+            trial = episodes[0]
+            again._enter(episodes, 0.0)
             averages[:, i] = np.add.reduce(again._episode_score), np.add.reduce(again.score)
             if ends[i]:
                 last = trial[(self.iterations[trial] == i + 1) & stopped[trial]]
@@ -238,15 +238,8 @@ class Trials:
 
     def state_dict(self) -> dict[str, Any]:
         """The state without the episodes, which ``history`` has; its size is constant."""
-        arrays = {name: getattr(self, name).copy() for name in _ROWS}
-        return {
-            **arrays,
-            "status": self._status.copy(),
-            "passed": self.passed.copy(),
-            "passed_at": self._passed_at.copy(),
-            "iteration": self.iteration,
-            "episodes": self._n_episodes,
-        }
+        arrays = {name: getattr(self, name).copy() for name in _STATE}
+        return {**arrays, "iteration": self.iteration, "episodes": self._n_episodes}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore a ``state_dict``; load its history first.
@@ -259,50 +252,18 @@ class Trials:
                 f"the state has {state['iteration']} iterations, "
                 f"but the history has {self.iteration}"
             )
-        for name in _ROWS:
+        for name in _STATE:
             getattr(self, name)[:] = state[name]
-        self._status[:] = state["status"]
-        self.passed[:], self._passed_at[:] = state["passed"], state["passed_at"]
         self.active = self._status == ACTIVE
         self._n_episodes = int(state["episodes"])
 
     def history(self, since: int = 0, until: int | None = None) -> dict[str, NDArray[Any]]:
-        """Iterations ``since`` + 1 to ``until`` as columns; None means the last.
-
-        Returns:
-            "rows" and "width" [iterations], the number of active trials and of episodes per trial;
-            "trial" [rows], "score" and "frames" [rows * width], ordered by iteration and then
-            trial, in the smaller of two types if it is exact.
-        """
-        part = self._episodes[since:until]
-        columns = list(zip(*part, strict=True)) or [(), (), ()]
-        trial, score, frames = (
-            np.concatenate([column.reshape(-1) for column in entries]) if entries else np.zeros(0)
-            for entries in columns
-        )
-        return {
-            "rows": np.array([len(entry[0]) for entry in part], dtype=np.int64),
-            "width": np.array([entry[1].size // len(entry[0]) for entry in part], dtype=np.int64),
-            "trial": _small(trial, np.int32),
-            "score": _small(score, np.float32),
-            "frames": _small(frames, np.int32),
-        }
+        """Iterations ``since`` + 1 to ``until`` as columns; None means the last."""
+        return flatten(self._episodes[since:until], _COLUMNS)
 
     def load_history(self, columns: Mapping[str, NDArray[Any]]) -> None:
         """Append the output of ``history``."""
-        trial, score = columns["trial"].astype(np.int64), columns["score"].astype(np.float64)
-        frames = columns["frames"].astype(np.int64)
-        low = start = 0
-        for rows, width in zip(columns["rows"].tolist(), columns["width"].tolist(), strict=True):
-            high, stop = low + rows, start + rows * width
-            shape = (rows,) if width == 1 else (rows, width)
-            cells = score[start:stop].reshape(shape), frames[start:stop].reshape(shape)
-            self._episodes.append((trial[low:high], *cells))
-            low, start = high, stop
-
-
-_ROWS = ("iterations", "frames", "seconds", "score", "_episode_score", "_window", "_sum")
-"""The arrays that ``_enter_rows`` changes; each has an entry per trial."""
+        self._episodes += cast(Any, unflatten(columns, _COLUMNS))
 
 
 @compiled(arrays)
@@ -333,10 +294,3 @@ def _enter_rows(
         if score[row] > highest:
             highest = score[row]
     return highest
-
-
-def _small(values: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
-    """The values in ``dtype`` if that is exact, else unchanged."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        small = values.astype(dtype)
-    return small if np.array_equal(small, values, equal_nan=True) else values

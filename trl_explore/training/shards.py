@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from trl_explore.numerics.compiled.cache import clock
+from trl_explore.training import snapshots
 from trl_explore.training.record import Trials
 from trl_explore.training.trainer import Trainer
 from trl_explore.training.visits import joined
@@ -125,6 +126,11 @@ class Shards:
         if len(parts) == 1:
             return parts[0]
         return {name: torch.cat([part[name].detach() for part in parts]) for name in parts[0]}
+
+    def kept_weights(self) -> dict[str, NDArray[Any]] | None:
+        """The weights along the way (``snapshots.joined``); None if none were asked for."""
+        found = [t.snapshots for t in self.trainers if t.snapshots is not None]
+        return snapshots.joined(found)
 
     def evaluations(self) -> dict[str, NDArray[Any]] | None:
         """The rows of ``Evaluator.rows`` for all trials; None if there is no evaluation."""

@@ -18,6 +18,7 @@ from trl_explore.training.evaluation import Evaluator
 from trl_explore.training.intrinsic import CountReward
 from trl_explore.training.optimizers import TrialOptimizer, Views, all_finite
 from trl_explore.training.record import Trials
+from trl_explore.training.snapshots import Snapshots
 
 
 class TrialLoss(Protocol):
@@ -47,6 +48,7 @@ class Trainer:
         evaluator: plays the policy without exploration, and decides when a trial has learned.
         diagnostics: records quantities that explain how a trial learns.
         intrinsic: adds an intrinsic reward to the frames that the loss sees; None: none.
+        snapshots: keeps the weights after some iterations.
         on_iteration: called after each iteration with the record.
 
     Raises:
@@ -64,6 +66,7 @@ class Trainer:
         evaluator: Evaluator | None = None,
         diagnostics: Diagnostics | None = None,
         intrinsic: CountReward | None = None,
+        snapshots: Snapshots | None = None,
         on_iteration: Callable[[Trials], None] | None = None,
     ) -> None:
         if loss.reduction == "mean":
@@ -82,6 +85,7 @@ class Trainer:
         self.evaluator = evaluator
         self.diagnostics = diagnostics
         self.intrinsic = intrinsic
+        self.snapshots = snapshots
         self.on_iteration = on_iteration
         self._weights = Views(optimizer.parameters)
         self.seconds = 0.0
@@ -97,6 +101,7 @@ class Trainer:
             "evaluator": evaluator,
             "diagnostics": diagnostics,
             "intrinsic": intrinsic,
+            "snapshots": snapshots,
         }
         self.parts: dict[str, Any] = {k: part for k, part in parts.items() if part is not None}
         """All parts with a state, by name; a new part of the loop must be added here."""
@@ -106,6 +111,7 @@ class Trainer:
         before = self.seconds - clock() + self.evaluating
         if self.trials.iteration == 0:
             self._evaluate(0, self.trials.active, self.trials.frames)
+            self._keep(0)
         while self.trials.active.any() and not stopped():
             self._iterate(before)
             self.seconds = before + clock() - self.evaluating
@@ -190,6 +196,11 @@ class Trainer:
                 so_far[active] += lengths.reshape(len(lengths), -1).sum(1)
                 self._evaluate(iteration, sound, so_far)
         self.trials.record(scores, lengths, diverged, seconds, learned)
+        self._keep(iteration)
+
+    def _keep(self, iteration: int) -> None:
+        if self.snapshots is not None:
+            self.snapshots.record(iteration)
 
     def _evaluate(
         self, iteration: int, trials: NDArray[np.bool_], frames: NDArray[np.int64]

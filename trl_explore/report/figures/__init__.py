@@ -1,6 +1,6 @@
-"""The figures of the report; each file holds the condition, the drawing and the caption.
+"""The figures of the report; each file holds conditions, drawings and captions of similar ones.
 
-A new figure is one file and one line in ``KINDS``.
+A new figure is a :class:`~trl_explore.report.figures.axes.Kind` and one line in ``KINDS``.
 """
 
 from __future__ import annotations
@@ -11,28 +11,22 @@ from dataclasses import dataclass
 from trl_explore.report.decomposition import Decomposition
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import (
-    acting,
-    effects,
-    epsilon_decay,
-    first_reward,
-    forest,
+    by_parameter,
+    differences,
     learning,
-    plane,
+    maps,
     power,
-    recorded,
     survival,
     trials,
-    visits,
 )
-from trl_explore.report.figures.kind import Kind
-from trl_explore.report.render import to_png, to_svg
-from trl_explore.report.style import visual_language
+from trl_explore.report.figures.axes import Kind
+from trl_explore.report.style import to_png, to_svg, visual_language
 
 KINDS: tuple[Kind, ...] = (
-    plane.PASS,
-    plane.ITERATIONS,
-    first_reward.FIRST_REWARD,
-    effects.EFFECTS,
+    maps.PASS,
+    maps.ITERATIONS,
+    by_parameter.FIRST_REWARD,
+    differences.EFFECTS,
     survival.PANELS,
     survival.SURVIVAL,
     survival.LEARNED_PANELS,
@@ -41,16 +35,16 @@ KINDS: tuple[Kind, ...] = (
     trials.ITERATIONS,
     trials.SECONDS,
     trials.FRAMES,
-    epsilon_decay.EPSILON,
+    by_parameter.EPSILON,
     learning.LEARNING,
     learning.PANELS,
     learning.EVALUATION,
     survival.FRAMES,
-    forest.FOREST,
+    differences.FOREST,
     power.POWER_OF_STUDY,
-    *recorded.DIAGNOSTIC_KINDS,
-    recorded.ENTROPY,
-    visits.VISITS,
+    *learning.DIAGNOSTIC_KINDS,
+    learning.ENTROPY,
+    maps.VISITS,
 )
 """In the order in which a section shows them."""
 
@@ -103,10 +97,10 @@ def draw_why(found: Sequence[Decomposition]) -> Iterator[Picture]:
     """One figure for every environment in which the parts of a difference are known."""
     for k, environment in enumerate(dict.fromkeys(d.environment for d in found)):
         here = [d for d in found if d.environment == environment]
-        if not acting.rows_of(here):
+        if not differences.acting_rows(here):
             continue
         with visual_language():
-            figure = acting.draw_acting(here)
+            figure = differences.draw_acting(here)
             svg, png = to_svg(figure), to_png(figure)
-        caption, title = acting.caption_of(here), acting.TITLE
+        caption, title = differences.acting_caption(here), differences.ACTING
         yield Picture(f"why-acting-{k + 1}", title, caption, f"{title}. {caption}", svg, png)

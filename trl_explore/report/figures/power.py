@@ -11,8 +11,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from trl_explore.report.evidence import GroupEvidence
-from trl_explore.report.figures.axes import legend_above, new_figure, plain_numbers
-from trl_explore.report.figures.kind import Kind, few, whole_study
+from trl_explore.report.figures.axes import (
+    Kind,
+    few,
+    legend_above,
+    new_figure,
+    plain_numbers,
+    whole_study,
+)
 from trl_explore.report.style import INK, MUTED
 from trl_explore.statistics.power import (
     POWER,

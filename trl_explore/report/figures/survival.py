@@ -12,21 +12,19 @@ from numpy.typing import NDArray
 
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures.axes import (
-    line_count,
-    new_figure,
-    plain_numbers,
-    spans_much,
-    wrapped,
-)
-from trl_explore.report.figures.kind import (
     Kind,
     by,
     crossed,
     each,
+    line_count,
+    new_figure,
     passed,
     plain,
+    plain_numbers,
+    spans_much,
     trials,
     whole_study,
+    wrapped,
 )
 from trl_explore.report.figures.panels import Panel, draw_panels, panels_of
 from trl_explore.report.style import INK, MUTED, Style

@@ -13,15 +13,19 @@ from numpy.typing import NDArray
 
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures.axes import (
+    Kind,
+    by,
+    each,
+    few,
     legend_above,
     line_count,
     new_figure,
     number,
+    passed,
     plain_numbers,
     spans_much,
     wrapped,
 )
-from trl_explore.report.figures.kind import Kind, by, each, few, passed
 from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style
 from trl_explore.statistics.outcomes import Outcomes
 

@@ -1,8 +1,9 @@
-"""Episodes to the first reward, or iterations until a trial passes, by the size of the task."""
+"""Curves over a parameter: ε by iteration at each decay rate, effort by the size of a task."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,11 +11,74 @@ from matplotlib.figure import Figure
 
 from trl_explore.names import strategy_label
 from trl_explore.report.evidence import GroupEvidence
-from trl_explore.report.figures.axes import handle, legend_above, new_figure, plain_numbers
-from trl_explore.report.figures.kind import Kind
+from trl_explore.report.figures.axes import Kind, handle, legend_above, new_figure, plain_numbers
 from trl_explore.report.figures.panels import fill_panels
-from trl_explore.report.sizes import Lines, layout, sentence
-from trl_explore.report.style import INK, styles
+from trl_explore.report.layouts import Lines, lines_by_size, size_sentence
+from trl_explore.report.style import INK, Style, styles
+
+MARKS = 6
+CHOSEN = 0.99
+"""The decay rate of the thesis."""
+
+
+def plot_epsilon(
+    ax: Axes,
+    rates: Sequence[float],
+    styles: Sequence[Style],
+    *,
+    iterations: int,
+    emphasised: float | None = None,
+) -> None:
+    """Draw ε(i) = rate^i, the probability of a random action; ``emphasised`` gets a thick line."""
+    i = np.arange(iterations + 1)
+    every = max(1, iterations // MARKS)
+    for k, (rate, style) in enumerate(zip(rates, styles, strict=True)):
+        first = every * (k + 1) // (len(rates) + 1)
+        ax.plot(
+            i, rate**i, color=style.color, ls=style.line, marker=style.marker,
+            lw=2.6 if rate == emphasised else 1.3, markevery=(first, every),
+        )  # fmt: skip
+    ax.set_xlim(0, iterations)
+    ax.set_ylim(-0.02, 1.02)
+    ax.set_xlabel("iteration")
+    ax.set_ylabel("ε: probability of a random action")
+    ax.grid()
+    plain_numbers(ax.xaxis)
+    handles = [handle(s, f"{r:g}") for r, s in zip(rates, styles, strict=True)]
+    legend_above(ax, handles, columns=min(4, len(rates)), title="decay rate")
+
+
+def _rates(e: GroupEvidence) -> dict[float, str]:
+    """Decay rate -> name of the configuration, for decaying ε-greedy."""
+    return {
+        float(c.parameters["decay"]): c.name
+        for c in e.group.configurations
+        if c.strategy == "decaying_epsilon_greedy"
+        and isinstance(c.parameters.get("decay"), int | float)
+    }
+
+
+def _draw_epsilon(e: GroupEvidence) -> Figure:
+    rates = _rates(e)
+    figure = new_figure(3.2)
+    looks = [e.group.styles[name] for name in rates.values()]
+    end = min(e.group.cap, 600)
+    plot_epsilon(figure.subplots(), list(rates), looks, iterations=end, emphasised=CHOSEN)
+    return figure
+
+
+EPSILON = Kind(
+    "epsilon",
+    "ε under the decay rates",
+    lambda e: e.group.experiment == "decay_grid" and len(_rates(e)) > 0,
+    _draw_epsilon,
+    lambda e: (
+        f"Probability of a random action in each iteration. The thesis chose {CHOSEN}"
+        f" (thick line), which halves ε every {np.log(0.5) / np.log(CHOSEN):.0f} iterations."
+    ),
+    thesis={"decay_grid": "2.5"},
+)
+
 
 EPISODES_OF_UNIFORM = "trl_explore/DeepSea-v0"
 """The environment in which uniform actions earn the reward in one of 2^size episodes."""
@@ -53,8 +117,8 @@ def _draw_panel(ax: Axes, title: str, panel: Lines, e: GroupEvidence) -> None:
     plain_numbers(ax.yaxis)
 
 
-def _draw(e: GroupEvidence) -> Figure:
-    panels = layout(e.group.configurations)
+def _draw_sizes(e: GroupEvidence) -> Figure:
+    panels = lines_by_size(e.group.configurations)
     names = list(dict.fromkeys(c.strategy for c in e.group.configurations))
     figure = new_figure(1.2 + 3.1 * math.ceil(len(panels) / 2))
     fill_panels(
@@ -84,7 +148,7 @@ def _caption(e: GroupEvidence) -> str:
     return (
         f"Kaplan–Meier median of the {_quantity(e)}, with its interval. Hollow marks above the"
         f" line: fewer than half of the trials got there within the cap of {e.group.cap:,}."
-        f"{uniform} {sentence(e.group.configurations)}"
+        f"{uniform} {size_sentence(e.group.configurations)}"
     )
 
 
@@ -92,7 +156,7 @@ FIRST_REWARD = Kind(
     "first-reward",
     "How the effort grows with the size",
     lambda e: e.group.sized,
-    _draw,
+    _draw_sizes,
     _caption,
     hero=True,
 )

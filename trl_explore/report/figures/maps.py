@@ -1,4 +1,4 @@
-"""A map over two parameters; every cell has a colour and a number."""
+"""Maps: a plane of two parameters, and where the trials have been."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from trl_explore.report.evidence import GroupEvidence
-from trl_explore.report.figures.axes import new_figure
-from trl_explore.report.figures.kind import Kind, trials
-from trl_explore.report.figures.kind import plane as is_plane
-from trl_explore.report.style import INK, MAP, MAP_INKS, MUTED, contrast
+from trl_explore.report.figures.axes import NAMED, Kind, each, new_figure, number, trials, wrapped
+from trl_explore.report.figures.axes import plane as is_plane
+from trl_explore.report.style import INK, MAP, MAP_INKS, MUTED, WIDTH, contrast
 from trl_explore.statistics.summary import Summary
+from trl_explore.training.columns import PLANES
 
 
 def plot_plane(
@@ -89,7 +91,7 @@ def ink_on(color: str) -> str:
     return max(MAP_INKS, key=lambda ink: contrast(ink, color))
 
 
-def _draw(
+def _draw_plane(
     e: GroupEvidence, title: str, value: Callable[[Summary], float], scale: tuple[float, float]
 ) -> Figure:
     layout = e.group.plane
@@ -109,13 +111,13 @@ def _draw(
 
 
 def _draw_pass(e: GroupEvidence) -> Figure:
-    return _draw(e, "trials that pass, %", lambda s: 100 * s.pass_rate.value, (0.0, 100.0))
+    return _draw_plane(e, "trials that pass, %", lambda s: 100 * s.pass_rate.value, (0.0, 100.0))
 
 
 def _draw_iterations(e: GroupEvidence) -> Figure:
     best = min(s.restricted_mean.value for s in e.summaries)
     ends = (float(e.group.cap), best)
-    return _draw(e, "mean iterations", lambda s: s.restricted_mean.value, ends)
+    return _draw_plane(e, "mean iterations", lambda s: s.restricted_mean.value, ends)
 
 
 def _frame(e: GroupEvidence) -> str:
@@ -146,3 +148,81 @@ ITERATIONS = Kind(
     _draw_iterations,
     _iterations_caption,
 )
+
+
+COLUMNS = 4
+"""The number of iterations shown."""
+FAINT = 1e-4
+"""The smallest share of the frames that has a colour of its own; smaller ones have the same."""
+
+
+def _names(e: GroupEvidence) -> list[str]:
+    """The configurations whose visits were recorded, at most ``NAMED``."""
+    return [c.name for c in e.group.configurations if c.name in e.traces.visits][:NAMED]
+
+
+def _chosen(iterations: NDArray[np.int64]) -> list[int]:
+    """Places of iterations that are about evenly spaced on a logarithmic scale."""
+    count = min(COLUMNS, len(iterations))
+    return np.unique(np.linspace(0, len(iterations) - 1, count).round().astype(int)).tolist()
+
+
+def _draw_visits(e: GroupEvidence) -> Figure:
+    names, plane = _names(e), PLANES.get(e.group.environment)
+    rows, columns = e.traces.visits[names[0]]["visits"].shape[1:]
+    height = min(1.5, max(0.35, WIDTH / (COLUMNS + 1) * rows / columns))
+    figure = new_figure(1.3 + (height + 0.25) * len(names))
+    axes = figure.subplots(len(names), COLUMNS, squeeze=False)
+    image = None
+    for line, name in zip(axes, names, strict=True):
+        found = e.traces.visits[name]
+        for ax in line:
+            ax.set_axis_off()
+        for ax, k in zip(line, _chosen(found["iteration"]), strict=False):
+            share = found["visits"][k] / found["visits"][k].sum()
+            image = ax.imshow(
+                np.where(share > 0, share, np.nan), cmap=ListedColormap(MAP), aspect="auto",
+                norm=LogNorm(FAINT, 1.0, clip=True), origin="upper" if plane is None else "lower",
+                interpolation="nearest",
+            )  # fmt: skip
+            ax.set_title(number(float(found["iteration"][k])), fontsize=8, color=INK)
+            ax.set_axis_on()
+            ax.set_xticks([])
+            ax.set_yticks([])
+            ax.grid(False)
+        line[0].set_ylabel(wrapped(e.group.labels[name], 18), fontsize=8)
+    if plane is not None:
+        figure.supxlabel(f"across: {plane[0].label}; up: {plane[1].label}", fontsize=9)
+    assert image is not None
+    bar = figure.colorbar(image, ax=axes, location="bottom", aspect=50, shrink=0.9, pad=0.02)
+    bar.ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
+    bar.set_label("share of the frames so far", fontsize=9)
+    return figure
+
+
+def _visits_caption(e: GroupEvidence) -> str:
+    def reached(name: str) -> str:
+        cells = e.traces.visits[name]["reached"][-1]
+        return f"{(cells > 0).sum()} of {cells.size}" if name in e.traces.visits else "not recorded"
+
+    what = "states" if PLANES.get(e.group.environment) is None else "cells"
+    return (
+        "Share of the frames of all trials in each state, from the first iteration to the one over"
+        f" the map (logarithmic colours; white: never). Reached by any trial at the end, {what}:"
+        f" {each(e, lambda c: reached(c.name))}."
+    )
+
+
+VISITS = Kind(
+    "visits",
+    "Where the trials have been",
+    lambda e: len(_names(e)) > 0 and _one_shape(e),
+    _draw_visits,
+    _visits_caption,
+    recorded=True,
+)
+
+
+def _one_shape(e: GroupEvidence) -> bool:
+    """Whether all maps have the same rows and columns."""
+    return len({e.traces.visits[name]["visits"].shape[1:] for name in _names(e)}) == 1

@@ -1,0 +1,163 @@
+"""Layouts of configurations: rows crossed with options, a plane of two parameters, sizes of a task.
+
+A layout decides which pairs are compared and how the figures are arranged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from trl_explore.names import OPTIONS, option_label, option_of, strategy_label, symbol
+from trl_explore.report.labels import label_parts, swept_parameters
+from trl_explore.statistics.outcomes import Outcomes
+
+THESIS: Mapping[str, float] = {"epsilon": 0.0, "temperature": 1.0}
+"""The thesis's softmax as a point of the mixtures of softmax and random actions."""
+SIZE = "env.kwargs.size"
+"""The key of the size of a task."""
+PLANE_FROM = 3
+"""Fewest values of each parameter of a plane."""
+
+
+@dataclass(frozen=True)
+class Crossed:
+    """Rows (strategies, temperatures) crossed with the options of one group.
+
+    Attributes:
+        of: the configuration group, for example ``correction``.
+        rows: labels of the rows.
+        options: labels of the options; the others are compared with the first.
+        cells: (row, option) -> name of the configuration; some may be missing.
+
+    """
+
+    of: str
+    rows: tuple[str, ...]
+    options: tuple[str, ...]
+    cells: Mapping[tuple[int, int], str]
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Names of configurations: (first option, other option) of every row."""
+        return [
+            (self.cells[row, 0], name)
+            for (row, option), name in sorted(self.cells.items())
+            if option and (row, 0) in self.cells
+        ]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Two parameters of one strategy, both varied.
+
+    Attributes:
+        x: label of the first parameter.
+        y: label of the second parameter.
+        xs: values of the first, ascending.
+        ys: values of the second, ascending.
+        cells: (index in xs, index in ys) -> name of the configuration; some may be missing.
+        reference: the thesis's configuration, if it is one of the cells.
+
+    """
+
+    x: str
+    y: str
+    xs: tuple[float, ...]
+    ys: tuple[float, ...]
+    cells: Mapping[tuple[int, int], str]
+    reference: str | None
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Names of configurations: (reference, other) for every other point."""
+        if self.reference is None:
+            return []
+        others = (name for _, name in sorted(self.cells.items()) if name != self.reference)
+        return [(self.reference, name) for name in others]
+
+
+def crossed(configurations: Sequence[Outcomes]) -> Crossed | None:
+    """The layout of configurations that differ in the options of one group and in other factors."""
+    parts = label_parts(configurations)
+    groups = {key for words in parts.values() for key in words if key in OPTIONS}
+    if len(groups) != 1:
+        return None
+    (of,) = groups
+    rows: dict[str, int] = {}
+    options: dict[str, int] = {}
+    cells: dict[tuple[int, int], str] = {}
+    for c in configurations:
+        words = dict(parts[c.name])
+        option = words.pop(of, "") or option_label(of, option_of(c.config, of))
+        row = rows.setdefault(", ".join(words.values()), len(rows))
+        place = row, options.setdefault(option, len(options))
+        if place in cells:
+            return None
+        cells[place] = c.name
+    if len(rows) < 2 or len(options) < 2:
+        return None
+    return Crossed(of, tuple(rows), tuple(options), cells)
+
+
+def plane(configurations: Sequence[Outcomes]) -> Plane | None:
+    """The layout of configurations that differ in two numeric parameters of their strategy."""
+    keys = swept_parameters(configurations)
+    if len(keys) != 2:
+        return None
+    points: dict[tuple[float, float], str] = {}
+    for c in configurations:
+        values = [c.parameters.get(key) for key in keys]
+        numbers = [v for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
+        if len(numbers) < len(values):
+            return None
+        x, y = map(float, numbers)
+        points[x, y] = c.name
+    xs, ys = (tuple(sorted({point[k] for point in points})) for k in (0, 1))
+    if min(len(xs), len(ys)) < PLANE_FROM or len(points) < len(configurations):
+        return None
+    cells = {(xs.index(x), ys.index(y)): name for (x, y), name in points.items()}
+    thesis = [THESIS.get(key, -1.0) for key in keys]
+    reference = points.get((thesis[0], thesis[1]))
+    return Plane(symbol(keys[0]), symbol(keys[1]), xs, ys, cells, reference)
+
+
+Lines = Mapping[str, Mapping[float, Outcomes]]
+"""Strategy -> size -> its configuration."""
+
+
+def lines_by_size(configurations: Sequence[Outcomes]) -> dict[str, Lines]:
+    """What else differs between the configurations -> the lines of a panel, sizes ascending."""
+    parts = label_parts(configurations)
+    panels: dict[str, dict[str, dict[float, Outcomes]]] = {}
+    for c in sorted(configurations, key=size_of):
+        words = [text for key, text in parts[c.name].items() if key not in ("strategy", SIZE)]
+        panels.setdefault(", ".join(words), {}).setdefault(c.strategy, {})[size_of(c)] = c
+    order = list(dict.fromkeys(c.strategy for c in configurations))
+    return {
+        title: {name: lines[name] for name in order if name in lines}
+        for title, lines in sorted(panels.items())
+    }
+
+
+def size_of(c: Outcomes) -> float:
+    """The size of the task of a configuration."""
+    return float(c.config["env"]["kwargs"]["size"])
+
+
+def pairs_by_size(configurations: Sequence[Outcomes]) -> list[tuple[Outcomes, Outcomes]]:
+    """The planned pairs: the first strategy and each other one, at the same size."""
+    found = []
+    for panel in lines_by_size(configurations).values():
+        first, *others = panel.values()
+        found += [(first[n], c) for line in others for n, c in line.items() if n in first]
+    return found
+
+
+def size_sentence(configurations: Sequence[Outcomes]) -> str:
+    """How many trials of every strategy passed at the largest size."""
+    largest = max(map(size_of, configurations))
+    texts = []
+    for title, panel in lines_by_size(configurations).items():
+        last = {name: line[largest] for name, line in panel.items() if largest in line}
+        shares = [f"{strategy_label(n)} {c.converged.sum()} of {len(c)}" for n, c in last.items()]
+        texts.append(f"{title}: " * bool(title) + ", ".join(shares))
+    return f"Passed at size {largest:g}: {'; '.join(texts)}."
