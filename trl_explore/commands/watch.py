@@ -22,7 +22,7 @@ from trl_explore import config as configuration
 from trl_explore.config import ConfigError
 from trl_explore.config.recorded import RecordedJob, recompose_all
 from trl_explore.jobs.reading import read_job
-from trl_explore.report.labels import configuration_labels
+from trl_explore.report.factors import configuration_labels
 
 MOST = 12
 """Most jobs in one film."""

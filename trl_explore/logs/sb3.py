@@ -78,7 +78,7 @@ def _monitor(file: Path) -> tuple[dict[str, Any], Any, bool]:
     header: dict[str, Any] = {}
     with suppress(ValueError):
         header = json.loads(first[1:]) if first.startswith("#") else {}
-    titled = "r,l,t" in (first, second) or "r,l,t" in first[:6] or "r,l,t" in second[:6]
+    titled = "r,l,t" in (first[:5], second[:5])
     frame = read_csv(file, skip=int(first.startswith("#")), header=titled)
     frame = frame.set_axis([*COLUMNS, *map(str, frame.columns[3:])], axis=1)[COLUMNS]
     frame = frame.apply(numbers)

@@ -305,13 +305,13 @@ def _summary(task: Task, id: str) -> Table:
     if task.threshold is not None:
         columns += [
             Column("pass_rate", f"exceeded {task.threshold:g}", _passed, True),
-            Column("median", "median steps", _cell("median", "not reached"), True),
-            Column("mean_steps", "mean steps", _cell("mean_steps"), True),
+            Column("median", "median steps", estimate_cell("median", "not reached"), True),
+            Column("mean_steps", "mean steps", estimate_cell("mean_steps"), True),
         ]
     columns += [
-        Column("final", "final score, mean", _cell("final"), True),
-        Column("iqm", "final score, IQM", _cell("iqm"), True),
-        Column("area", "area under the curve", _cell("area"), True),
+        Column("final", "final score, mean", estimate_cell("final"), True),
+        Column("iqm", "final score, IQM", estimate_cell("iqm"), True),
+        Column("area", "area under the curve", estimate_cell("area"), True),
     ]
     title = f"Configurations, with {PERCENT} intervals"
     return Table(f"{id}-configurations", title, columns, records, main=True)
@@ -341,7 +341,7 @@ def _pairs(task: Task, measure: Measure, table: Sequence[Comparison], id: str) -
         Column("a", "first", lambda r: str(r["a"])),
         Column("b", "second", lambda r: str(r["b"])),
         Column("winner", "better", lambda r: r["winner"] or "not established"),
-        Column("difference", "first − second", _cell("difference"), True),
+        Column("difference", "first − second", estimate_cell("difference"), True),
         Column("p_holm", "p (Holm)", lambda r: _p(r["p_holm"]), True),
         Column("better", "first is better in", _share, True),
         Column("n_a", "compared", _compared, True),
@@ -501,7 +501,9 @@ def _limits(found: Sequence[Task]) -> list[str]:
     return limits
 
 
-def _cell(key: str, infinite: str = "∞") -> Callable[[Record], str]:
+def estimate_cell(key: str, infinite: str = "∞") -> Callable[[Record], str]:
+    """The text of an estimate in a table, with its interval in a second line."""
+
     def write(r: Record) -> str:
         e = Estimate(r[key], r[f"{key}_low"], r[f"{key}_high"])
         if isnan(e.value):

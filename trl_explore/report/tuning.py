@@ -10,11 +10,11 @@ import numpy as np
 
 from trl_explore.names import strategy_label
 from trl_explore.report.figures.axes import handle, legend_above, new_figure, plain_numbers
-from trl_explore.report.logs import PERCENT, Picture, Section, write_page
-from trl_explore.report.style import styles, to_png, to_svg, visual_language
+from trl_explore.report.logs import PERCENT, Picture, Section, estimate_cell, write_page
+from trl_explore.report.style import drawn_files, styles, visual_language
 from trl_explore.report.tables import Column, Table
 from trl_explore.statistics.comparisons import Comparison, Measure, compare_all
-from trl_explore.statistics.estimates import Estimate
+from trl_explore.statistics.estimates import Estimate, flat
 from trl_explore.statistics.means import mean_interval
 from trl_explore.statistics.outcomes import Outcomes
 
@@ -147,8 +147,8 @@ def _mean(measure: Measure, outcomes: Outcomes) -> Estimate:
     return mean_interval(sample) if len(sample) else nothing
 
 
-def _text(e: Estimate) -> str:
-    return "–" if np.isnan(e.value) else f"{e.value:,.4g}\n{e.low:,.4g} to {e.high:,.4g}"
+def _number(x: float) -> str:
+    return "–" if np.isnan(x) else f"{x:,.4g}".replace("-", "−")
 
 
 def _setting(settings: Settings) -> str:
@@ -160,8 +160,7 @@ def _picked_table(tuned: Sequence[Tuned], measure: Measure) -> Table:
         {
             "strategy": strategy_label(t.strategy), "setting": _setting(t.settings),
             "tried": len(t.tried), "tuning": _mean(measure, t.tried[t.picked][1]).value,
-            "judging": _mean(measure, t.judged).value,
-            "text": _text(_mean(measure, t.judged)),
+            **flat({"judging": _mean(measure, t.judged)}),
         }
         for t in tuned
     ]  # fmt: skip
@@ -169,24 +168,23 @@ def _picked_table(tuned: Sequence[Tuned], measure: Measure) -> Table:
         Column("strategy", "strategy", lambda r: str(r["strategy"])),
         Column("tried", "settings", lambda r: str(r["tried"]), True),
         Column("setting", "best", lambda r: str(r["setting"])),
-        Column("tuning", f"{measure.name}, tuning seed", lambda r: f"{r['tuning']:,.4g}", True),
-        Column("judging", f"{measure.name}, judging seed", lambda r: str(r["text"]), True),
+        Column("tuning", f"{measure.name}, tuning seed", lambda r: _number(r["tuning"]), True),
+        Column("judging", f"{measure.name}, judging seed", estimate_cell("judging"), True),
     ]
     return Table("tuned", "The best setting of each strategy", columns, records, main=True)
 
 
 def _tried_table(tuned: Sequence[Tuned], measure: Measure) -> Table:
     records = [
-        {"strategy": strategy_label(t.strategy), **settings, "setting": _setting(settings),
-         "mean": mean.value, "text": _text(mean)}
+        {"strategy": strategy_label(t.strategy), **settings, "setting": _setting(settings)}
+        | flat({"mean": _mean(measure, outcomes)})
         for t in tuned
         for settings, outcomes in t.tried
-        for mean in [_mean(measure, outcomes)]
-    ]  # fmt: skip
+    ]
     columns = [
         Column("strategy", "strategy", lambda r: str(r["strategy"])),
         Column("setting", "setting", lambda r: str(r["setting"])),
-        Column("mean", f"mean {measure.name}", lambda r: str(r["text"]), True),
+        Column("mean", f"mean {measure.name}", estimate_cell("mean"), True),
     ]
     return Table("tried", "All settings, on the tuning seed", columns, records)
 
@@ -196,9 +194,7 @@ def _pairs_table(table: Sequence[Comparison], labels: Mapping[str, str]) -> Tabl
         Column("a", "first", lambda r: labels[r["a"]]),
         Column("b", "second", lambda r: labels[r["b"]]),
         Column("winner", "better", lambda r: labels.get(r["winner"], "not established")),
-        Column("difference", "first − second",
-               lambda r: _text(Estimate(r["difference"], r["difference_low"],
-                                        r["difference_high"])), True),
+        Column("difference", "first − second", estimate_cell("difference"), True),
         Column("p_holm", "p (Holm)", lambda r: f"{r['p_holm']:.3f}", True),
     ]  # fmt: skip
     return Table("pairs", "The tuned strategies: all pairs", columns, [c.row() for c in table],
@@ -207,8 +203,8 @@ def _pairs_table(table: Sequence[Comparison], labels: Mapping[str, str]) -> Tabl
 
 def _sentence(c: Comparison, measure: Measure, labels: Mapping[str, str]) -> str:
     d = c.difference
-    numbers = f"{c.mean_a:,.4g} and {c.mean_b:,.4g}, difference {d.value:,.4g}"
-    numbers += f" [{d.low:,.4g}, {d.high:,.4g}]"
+    numbers = f"{_number(c.mean_a)} and {_number(c.mean_b)}, difference {_number(d.value)}"
+    numbers += f" [{_number(d.low)}, {_number(d.high)}]"
     if c.winner is None:
         return (
             f"No difference in {measure.name} is established between {labels[c.a]} and"
@@ -252,7 +248,7 @@ def _figures(tuned: Sequence[Tuned], measure: Measure) -> Sequence[Picture]:
             ax.grid()
             plain_numbers(ax.xaxis)
             legend_above(ax, [handle(look, strategy_label(t.strategy)) for t, look, _ in lines], 2)
-            svg, png = to_svg(figure), to_png(figure)
+            formats = drawn_files(figure)
         names = ", ".join(strategy_label(t.strategy) for t, *_ in lines)
         found.append(
             Picture(
@@ -261,8 +257,7 @@ def _figures(tuned: Sequence[Tuned], measure: Measure) -> Sequence[Picture]:
                 f"Mean {measure.name} on the tuning seed, all other parameters at their best. The"
                 f" ring is the value that was picked. Bands: {PERCENT} intervals.",
                 f"Mean {measure.name} by {parameter}: {names}",
-                svg,
-                png,
+                **formats,
             )
         )
     return found

@@ -255,12 +255,6 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return np.minimum(corrected, 1.0).tolist()
 
 
-def _sign(difference: Estimate, p_value: float) -> int:
-    if not p_value <= 1.0 - difference.level + 1e-12:
-        return 0
-    return int(difference.above(0.0)) - int(difference.below(0.0))
-
-
 def holm_levels(p_values: Sequence[float], level: float = LEVEL) -> list[float]:
     """The confidence level of each test's step in Holm's procedure.
 

@@ -5,12 +5,12 @@ the error α, where Σ α_k = α. At look k, the undecided pairs are tested with
 Holm's procedure at α_k, in which pairs that were decided earlier count as rejected. A pair that is
 decided stays decided, and a configuration of which no pair is open gets no further trials.
 
-The probability of any wrong decision at any look is at most α, if each test is valid with a fixed
-number of trials. Proof: take the first wrong decision, and let it be at look k. Every pair decided
-before really differs, so at least as many pairs are open as there are pairs without a difference,
-m₀; Holm's bound for the pair was therefore at most α_k / m₀. An undecided pair always has the
-planned number of trials, n_k. The probability that one of m₀ tests with n_k trials is below
-α_k / m₀ is at most α_k, and the sum over the looks is α.
+The probability that any difference is found where there is none, at any look, is at most α, if each
+test is valid with a fixed number of trials. Proof: take the first such error, and let it be at look
+k. Every pair decided before really differs, so at least as many pairs are open as there are pairs
+without a difference, m₀; Holm's bound for the pair was therefore at most α_k / m₀. An undecided
+pair always has the planned number of trials, n_k. The probability that one of m₀ tests with n_k
+trials is below α_k / m₀ is at most α_k, and the sum over the looks is α.
 
 Nothing is gained from the correlation of the looks, as the group-sequential tests of Lan & DeMets,
 Biometrika 70 (1983), or AdaStop (Mathieu et al., TMLR 2024) would; in return, any test can be used,
