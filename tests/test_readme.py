@@ -16,8 +16,9 @@ ROOT = Path(__file__).resolve().parents[1]
 COMMAND = ROOT / "tests" / "command.py"
 SMALL = ["trials=2", "max_iterations=6", "score_window=3", "score_threshold=15", "threads=1"]
 """What makes a run short; trials only where their number does not matter."""
-ELSEWHERE = ("hydra/launcher=", "--help", "hydra.launcher")
-"""Commands that other tests run: in tests/config and tests/commands."""
+ELSEWHERE = ("hydra/launcher=", "--help", "hydra.launcher", "study.yaml", "--from ", " settle ",
+             " tune ")  # fmt: skip
+"""Commands that other tests run: in tests/config, tests/commands and tests/report."""
 
 
 class Block(NamedTuple):

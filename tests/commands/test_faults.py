@@ -211,7 +211,7 @@ def test_a_failing_job_is_named_and_the_others_are_run(place, ran, same):
     assert process.returncode == 1
     first, summary, last = process.stderr.splitlines()
     assert first.startswith(f"error: {name_of('argmax')}: ")
-    for words in ("fragile:Fragile-v0", "RuntimeError", "episode 3", "trial 1", "simulator broke"):
+    for words in ("fragile:Fragile-v0", "RuntimeError", "episode 2 of trial 2", "simulator broke"):
         assert words in first
     assert "1 of 3" in summary
     assert first.endswith(last.strip())

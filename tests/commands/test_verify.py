@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -64,6 +65,13 @@ def test_a_value_per_trial_is_timed_for_the_trial_that_has_it(jobs, run_many, tm
     assert (ran.returncode, ran.stderr) == (0, "")
 
 
+def unsigned(job):
+    """A copy of a job whose files nobody compares with their digests."""
+    run = json.loads((job / "run.json").read_text())
+    (job / "run.json").write_text(json.dumps({**run, "files": {}}))
+    return job
+
+
 def scale(by):
     def change(job):
         weights = load_file(job / "weights.safetensors")
@@ -90,7 +98,7 @@ def other_score(job):
     ],
 )
 def test_the_first_difference_is_named(jobs, verify, tmp_path, change, status, words):
-    job = Path(copytree(jobs[0], tmp_path / jobs[0].name))
+    job = unsigned(Path(copytree(jobs[0], tmp_path / jobs[0].name)))
     more = change(job) or ""
     ran = verify(job)
     assert ran.returncode == status, ran.stderr

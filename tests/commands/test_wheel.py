@@ -78,7 +78,8 @@ def test_its_commands_work_from_any_folder(installed, tmp_path):
         ["report", str(job)],
     ):
         done = run(installed, tmp_path, *words)
-        assert (done.returncode, done.stderr) == (0, "")
+        assert done.returncode == 0
+        assert words[0] == "report" or done.stderr == ""  # it says what it draws
     assert (job.parent / "timings.csv").is_file()
     assert (job / "report" / "index.html").is_file()
 
@@ -143,8 +144,8 @@ def test_the_list_of_commands():
     )
     assert shown.returncode == 0
     assert [line.split()[0] for line in shown.stdout.splitlines()[2:-2]] == [
-        "train", "report", "watch", "map", "status", "time", "verify",
+        "train", "settle", "tune", "report", "watch", "map", "status", "time", "verify",
     ]  # fmt: skip
     assert (wrong.returncode, wrong.stdout) == (1, "")
-    assert wrong.stderr.startswith("error: unknown command 'tarin'; available: train, report, ")
+    assert wrong.stderr.startswith("error: unknown command 'tarin'; available: train, settle, ")
     assert wrong.stderr.count("\n") == 1

@@ -21,7 +21,7 @@ def test_the_trials_are_those_of_the_command_line(run_many, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["strategy=softmax,argmax"], "Ambiguous value for argument 'strategy=softmax,argmax'"),
+        (["strategy=softmax,argmax"], "strategy=softmax,argmax gives several values"),
         (["experiment=thesis"], "this is a sweep: give one job"),
         (["strategy.epsilon=0.1"], "unknown key 'strategy.epsilon'"),
         (["optimizer.lr=0"], "optimizer: lr must be a number > 0, got 0"),

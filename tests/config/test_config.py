@@ -271,11 +271,11 @@ def test_the_name_depends_on_the_experiment_through_its_folder_only():
     assert name(*debug, "trials=4") == "argmax,trials=4"
     assert name(*debug, "trials=30") == "argmax,trials=30"
     config = compose("train", overrides=debug, return_hydra_config=True)
-    assert config.hydra.run.dir == "outputs/debug/argmax"
-    assert config.hydra.sweep.dir == "outputs/debug"
+    assert config.hydra.run.dir == str(Path("outputs/debug/argmax").absolute())
+    assert config.hydra.sweep.dir == str(Path("outputs/debug").absolute())
     assert config.hydra.sweep.subdir == "argmax"
     plain = compose("train", overrides=["strategy=argmax"], return_hydra_config=True)
-    assert plain.hydra.run.dir == "outputs/train/argmax"
+    assert plain.hydra.run.dir == str(Path("outputs/train/argmax").absolute())
 
 
 def test_names_are_names_of_one_folder():

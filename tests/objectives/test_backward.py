@@ -43,6 +43,7 @@ def configured(group, name):
     for entry in node.pop("defaults", []):  # "/strategy@strategy: NAME"
         for key, option in entry.items():
             node[key.partition("@")[2]] = OmegaConf.load(CONF / "strategy" / f"{option}.yaml")
+    node.pop("lr", None)  # of a policy: the optimiser's learning rate
     return instantiate(node)
 
 

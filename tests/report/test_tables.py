@@ -67,11 +67,16 @@ def test_the_tables_of_the_page_hold_the_numbers_of_the_csv(made):
     parser = Cells()
     parser.feed(made.html)
     compared = 0
+    folded = [parser.tables.pop(name, []) for name in ("claims-more", "claims-missing")]
+    parser.tables["claims"] += [row for rows in folded for row in rows]
     for name, rows in parser.tables.items():
         text = (made.out / "tables" / f"{name}.csv").read_text(encoding="utf-8")
         records = list(csv.DictReader(io.StringIO(text)))
         cells = [row for row in rows if row]
         assert len(cells) == len(records)
+        if name == "claims":  # the page puts those that were not measured last
+            place = {dict(row)["the thesis says"]: k for k, row in enumerate(cells)}
+            records.sort(key=lambda record: place[record["statement"]])
         for row, record in zip(cells, records, strict=True):
             for _, value in row:
                 assert value in record.values()

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 EXPECTED = (ValueError, OmegaConfBaseException, OSError, MemoryError)
 """Errors whose message suffices; other messages are prefixed with the type of the error."""
 TRACEBACK = "TRL_EXPLORE_TRACEBACK"
-"""Environment variable, inherited by workers; set if the user asked for full tracebacks."""
+"""Environment variable, inherited by workers; empty unless the user asked for full tracebacks."""
 
 
 def run(config: DictConfig) -> float | list[float] | None:
@@ -62,7 +62,7 @@ def run(config: DictConfig) -> float | list[float] | None:
             signals.check()  # the error may be a converted signal
             raise
     except Exception as error:  # no error of a job stops the other jobs of the sweep
-        if TRACEBACK in os.environ or config.debug is True:
+        if os.environ.get(TRACEBACK) or config.debug is True:
             traceback.print_exc()
         line = configuration.describe(error)
         if not isinstance(error, EXPECTED):
@@ -236,8 +236,7 @@ def main(action: Callable[[], int] | None = None) -> int:
     """
     logging.basicConfig(format="%(message)s", stream=sys.stderr)
     logging.getLogger("trl_explore").setLevel(logging.INFO)
-    if os.environ.get("HYDRA_FULL_ERROR"):
-        os.environ[TRACEBACK] = "1"
+    os.environ.setdefault(TRACEBACK, os.environ.get("HYDRA_FULL_ERROR", ""))
     os.environ["HYDRA_FULL_ERROR"] = "1"  # make Hydra raise errors instead of printing tracebacks
     configuration.register_resolvers()
     sys.argv[1:] = sorted(sys.argv[1:], key=_place)
@@ -280,9 +279,10 @@ def _reported(action: Callable[[], int]) -> int:
         return action()
     except Exception as error:
         signals.check()
-        if TRACEBACK in os.environ or not isinstance(error, (HydraException, *EXPECTED)):
+        if os.environ.get(TRACEBACK) or not isinstance(error, (HydraException, *EXPECTED)):
             raise
-        unread = configuration.unreadable(sys.argv[1:]) if isinstance(error, HydraException) else ""
+        grammar = isinstance(error, HydraException | ValueError)
+        unread = configuration.unreadable(sys.argv[1:]) if grammar else ""
         tell(unread or configuration.describe(error))
         return 1
 

@@ -27,7 +27,7 @@ def returned(config: DictConfig, folder: Path | None) -> float | list[float] | N
         folder: of the finished job; None: it failed, so its objective is the worst.
     """
     sweeper: Any = HydraConfig.get().sweeper
-    if "direction" not in sweeper:
+    if "direction" not in (sweeper or ()):
         return None
     several = not isinstance(sweeper.direction, str) and isinstance(sweeper.direction, Sequence)
     outcomes = None if folder is None else read_job(folder)

@@ -157,6 +157,8 @@ def arguments(c: Outcomes, group: str) -> dict[str, Any]:
     flat = _leaves(value if isinstance(value, Mapping) else {})
     if group in OPTIONS:
         flat["_target_"] = option_of(c.config, group)
+    if group == "policy":
+        flat.pop("lr", None)  # the default of the optimiser's, which is a factor of its own
     if group == "env":
         flat = {k: v for k, v in flat.items() if k not in NO_AGENT}
         if flat.get("max_steps") == flat.get("kwargs.size"):  # the size says it

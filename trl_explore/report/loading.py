@@ -71,7 +71,8 @@ def load(folders: Sequence[Path], say: Say = silent) -> Loaded:
         if not folder.is_dir():
             raise ResultsError(f"{folder}: no such folder")
     found = {job.resolve(): done for f in folders for job, done in results.find_folders(f)}
-    say(f"reading {sum(found.values())} jobs")
+    if (number := sum(found.values())) > 1:
+        say(f"reading {number} jobs")
     gaps = [Gap(_short(job), UNFINISHED) for job in sorted(found) if not found[job]]
     errors: list[Exception] = []
     jobs = []

@@ -187,7 +187,8 @@ def _film(
     env = make_env(
         id, 1, own.get("max_steps"), kwargs=own["kwargs"], attributes=own["attributes"], **streams
     )
-    policy = _built(policies, config["policy"], env=env, **streams)
+    plain = {key: value for key, value in config["policy"].items() if key != "lr"}
+    policy = _built(policies, plain, env=env, **streams)
     weights = read_weights(job)
     for name, parameter in policy.named_parameters():
         parameter.data.copy_(torch.from_numpy(weights[name][k : k + 1]))
