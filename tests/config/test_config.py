@@ -564,6 +564,8 @@ def test_differences():
     assert differences(old, old) == []
     assert differences(old, {**old, "output_dir": "y", "restart": True, "threads": 4}) == []
     assert differences(old, {**old, "seed": 1}) == ["seed: 0 before, 1 now"]
+    policy = {**old, "policy": {"lr": 0.05}}  # a default of optimizer.lr, which is compared
+    assert differences({**old, "policy": {}}, policy) == []
     assert differences(old, {**old, "seed": 0.0}) == []
     assert differences(old, {**old, "seed": False}) == ["seed: 0 before, False now"]
     assert differences(old, {**old, "env": {"id": "b", "max_steps": 9}}) == [

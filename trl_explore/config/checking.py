@@ -158,7 +158,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = ""
     """The keys whose values differ between two configurations and can change the results."""
     found: list[str] = []
     for key in sorted({*old, *new}):
-        if f"{prefix}{key}" in INERT:
+        if f"{prefix}{key}" in (*INERT, "policy.lr"):  # optimizer.lr takes it, and is compared
             continue
         a, b = old.get(key), new.get(key)
         if isinstance(a, Mapping) and isinstance(b, Mapping):

@@ -188,6 +188,8 @@ QUANTITIES: Mapping[str, str] = {
 
 NEAR = 0.1
 """Two shares that differ by less are alike, even if their intervals do not overlap."""
+LEAST = 0.05
+"""The smallest difference that is divided into parts, as a share of the larger mean."""
 NOT_ESTIMABLE = Estimate(np.nan, np.nan, np.nan)
 
 
@@ -210,7 +212,8 @@ class Acting:
 class Parts:
     """The difference between a strategy and softmax in one quantity, and its parts.
 
-    A share is NaN, "not estimable", if the interval of the whole difference contains 0.
+    A share is NaN, "not estimable", if the interval of the whole difference contains 0, or if the
+    difference is small beside the means (``LEAST``), as where hardly any trial learns.
 
     Attributes:
         quantity: a key of ``QUANTITIES``.
@@ -310,8 +313,11 @@ def _parts(quantity: str, crossing: Crossing) -> Parts | None:
         return None
     gap = mean_difference(samples["plain"], samples["reference"]).estimate
 
+    least = LEAST * max(abs(cells.plain.mean()), abs(cells.reference.mean()))
+    divisible = gap.outside(0.0, 0.0) and abs(gap.value) >= least
+
     def share(part: NDArray[np.float64]) -> Estimate:
-        return share_of(part, cells.gap) if gap.outside(0.0, 0.0) else NOT_ESTIMABLE
+        return share_of(part, cells.gap) if divisible else NOT_ESTIMABLE
 
     assumed, corrected = cells.assumed, cells.corrected
     data = None

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trl_explore.report.decomposition import QUANTITIES, Decomposition, Parts
+from trl_explore.report.decomposition import NEAR, QUANTITIES, Decomposition, Parts
 from trl_explore.report.tables import Column, Record, Table, figure, interval, p_value, percent
 from trl_explore.statistics.estimates import Estimate, flat
 
@@ -80,6 +80,8 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
             )
         elif p.separable:
             said.append(f"{percent(p.bias)} of {whole}")
+        elif odd := _odd(strategy, p, words):
+            said.append(f"no share of {whole}: {odd}")
         else:
             ways = [(p.corrected, f"removed from {strategy}"), (p.assumed, "added to softmax")]
             low, high = (f"{percent(share)}, {how}," for share, how in sorted(ways, key=_value))
@@ -88,6 +90,20 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
         "Bias: a gradient that treats the actions as if they came from the policy is biased; of the"
         f" {words.name}, this explains {'; '.join(said)}{rest}."
     )
+
+
+def _odd(strategy: str, p: Parts, words: Words) -> str:
+    """What the bias does, where it is no part of the difference; empty where it is one."""
+    ways = [(p.corrected, strategy, "without the bias", -1), (p.assumed, "softmax", "with it", 1)]
+    known = [(share.value, *way) for share, *way in ways if share is not None]
+    if all(-NEAR <= share <= 1 + 3 * NEAR for share, *_ in known):
+        return ""
+    said = []
+    for share, name, how, sign in known:
+        change = sign * share * p.gap.value
+        more = "more" if change > 0 else words.fewer
+        said.append(f"{how}, {name} {words.verb} {figure(abs(change))} {words.unit} {more}")
+    return " and, ".join(said)
 
 
 def _data_said(found: Sequence[Decomposition]) -> str:
