@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from trl_explore.names import strategy_label
+from trl_explore.report.figures import Picture
 from trl_explore.report.figures.axes import handle, legend_above, new_figure, plain_numbers
-from trl_explore.report.logs import PERCENT, Picture, Section, estimate_cell, write_page
+from trl_explore.report.log_tables import PERCENT, estimate_cell
+from trl_explore.report.logs import Section, write_page
 from trl_explore.report.style import drawn_files, styles, visual_language
 from trl_explore.report.tables import Column, Table
 from trl_explore.statistics.comparisons import Comparison, Measure, compare_all

@@ -95,7 +95,7 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
 def _odd(strategy: str, p: Parts, words: Words) -> str:
     """What the bias does, where it is no part of the difference; empty where it is one."""
     ways = [(p.corrected, strategy, "without the bias", -1), (p.assumed, "softmax", "with it", 1)]
-    known = [(share.value, *way) for share, *way in ways if share is not None]
+    known = [(s.value, name, how, sign) for s, name, how, sign in ways if s is not None]
     if all(-NEAR <= share <= 1 + 3 * NEAR for share, *_ in known):
         return ""
     said = []
