@@ -108,6 +108,15 @@ def test_pilots_are_left_out_and_repeats_are_pooled(tmp_path, job):
     assert "with 2 trials and a cap of 300 iterations" in pilot
 
 
+def test_trials_added_until_decided_are_told_of(tmp_path, job):
+    folder = job("softmax", FAST, parameters=SOFTMAX)
+    (group,) = evidence(tmp_path).groups
+    assert not group.group.notes
+    (folder.parent / "settle.json").write_text("{}")
+    (group,) = evidence(tmp_path).groups
+    assert "are too sure" in group.group.notes[0]
+
+
 def test_maps_of_one_environment_are_questions_of_their_own(tmp_path, job):
     for slippery in (True, False):
         env = {"id": "FrozenLake-v1", "kwargs": {"is_slippery": slippery}}

@@ -17,13 +17,14 @@ from omegaconf import OmegaConf
 
 from trl_explore.commands import train
 from trl_explore.config import ConfigError
+from trl_explore.jobs.sweeps import LOOKS
 from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import LEVEL, check_level
 from trl_explore.statistics.outcomes import Outcomes, judged
 from trl_explore.statistics.samples import Sample
 from trl_explore.statistics.sequential import Verdict, planned_looks, settle
 
-PLAN, TABLE = "settle.json", "settle.csv"
+TABLE = "settle.csv"
 MEASURES: Mapping[str, Callable[[Outcomes], Sample]] = {
     "passed": lambda o: samples.iterations(judged(o, "passed")),
     "learned": lambda o: samples.iterations(judged(o, "learned")),
@@ -108,7 +109,7 @@ class _Jobs:
         Raises:
             ConfigError: the looks were planned differently; the error would not be held.
         """
-        file = self.sweep / PLAN
+        file = self.sweep / LOOKS
         if file.is_file():
             old = json.loads(file.read_text(encoding="utf-8"))
             if changed := [key for key in plan if old.get(key) != plan[key]]:

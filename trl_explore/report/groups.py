@@ -34,7 +34,7 @@ from trl_explore.report.factors import (
 from trl_explore.report.layouts import SIZE, Crossed, Plane, crossed, plane
 from trl_explore.report.loading import Job
 from trl_explore.report.questions import Confound, Question, confounds, inferred
-from trl_explore.report.repeats import repeats, set_aside
+from trl_explore.report.repeats import repeats, set_aside, settled
 from trl_explore.report.style import Style, option_styles, styles
 from trl_explore.report.tables import listed
 from trl_explore.statistics.outcomes import Outcomes, judged
@@ -146,7 +146,7 @@ def group_jobs(jobs: Sequence[Job], *, together: bool = False) -> list[Group]:
         replace(
             _group(f"{name}-{k}" if ids.count(name) > 1 else name, by_rule[rule]),
             environment=places[rule[4]],
-            notes=(*repeats(by_rule[rule]), *notes.get(rule, ())),
+            notes=(*repeats(by_rule[rule]), *notes.get(rule, ()), *settled(by_rule[rule])),
         )
         for k, (name, rule) in enumerate(zip(ids, order, strict=True), start=1)
     ]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from trl_explore.jobs.sweeps import LOOKS
 from trl_explore.names import strategy_label, symbol
 from trl_explore.report.factors import value_words
 from trl_explore.report.loading import Job
@@ -77,3 +78,14 @@ def repeats(jobs: Sequence[Job]) -> list[str]:
 def _short(o: Outcomes) -> str:
     own = [f"{symbol(f'strategy.{k}')} = {value_words(v)}" for k, v in o.parameters.items()]
     return ", ".join([strategy_label(o.strategy), *own])
+
+
+def settled(jobs: Sequence[Job]) -> list[str]:
+    """A warning where the number of trials was chosen by looking at the results."""
+    if not any((job.folder.parent / LOOKS).is_file() for job in jobs):
+        return []
+    return [
+        "Trials were added until the comparisons were decided (trl-explore settle). The verdicts in"
+        " settle.csv allow for that; the p-values and intervals of this page do not, and are too"
+        " sure."
+    ]
