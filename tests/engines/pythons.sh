@@ -3,7 +3,7 @@
 # tests under each; and run the job of the first again under each, also as a generic processor would.
 #
 #   tests/engines/pythons.sh [FOLDER]    FOLDER (default build/pythons) keeps the environments
-#   PYTHONS="python3.12 /opt/python3.14/bin/python3" tests/engines/pythons.sh
+#   PYTHONS="python3.12 python3.14" tests/engines/pythons.sh
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 folder=$(realpath -m "${1:-build/pythons}")
