@@ -116,6 +116,12 @@ def test_the_density_integrates_to_one(name):
     assert float(log_prob.exp().sum() * 14 / 2800) == pytest.approx(1, abs=1e-3)
 
 
+@pytest.fixture(autouse=True)
+def seeded():
+    """A test of a distribution must not fail by chance in one of a hundred runs."""
+    torch.manual_seed(0)
+
+
 @pytest.mark.parametrize("temperature", [0.5, 1.0, 3.0])
 def test_temperature_multiplies_the_scale(temperature):
     data = Gaussian(temperature)(frames(4000))
