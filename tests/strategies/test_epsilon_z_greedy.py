@@ -30,6 +30,7 @@ def test_a_random_action_is_repeated_for_its_duration():
 
 
 def test_durations_are_those_of_the_zeta_distribution():
+    torch.manual_seed(0)
     n = 100_000
     strategy = EpsilonZGreedy(1.0, mu=2.5)
     logits = torch.zeros(n, 4)
