@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.console import text_table
 from trl_explore.logs.measures import tasks
 from trl_explore.logs.runs import READERS, read_runs
 from trl_explore.logs.table import USUAL
+
+if TYPE_CHECKING:
+    from trl_explore.report.tables import Column
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,8 +73,8 @@ def report(arguments: argparse.Namespace, out: Path) -> Path | None:
     return build_page(runs, found, out, source=arguments.source, others=others)
 
 
-def _left(columns: object) -> set[int]:
-    return {i for i, column in enumerate(columns) if not column.numeric}  # type: ignore[call-overload]
+def _left(columns: Sequence[Column]) -> set[int]:
+    return {i for i, column in enumerate(columns) if not column.numeric}
 
 
 def _columns(words: list[str]) -> dict[str, str]:
