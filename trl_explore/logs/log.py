@@ -47,13 +47,10 @@ class Log:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """The scores of one run, by its steps.
+    """The scores of one run [n], all finite, by its steps, which do not decrease.
 
-    Attributes:
-        step: not decreasing [n].
-        score: finite [n].
-        notes: what was left out or changed, one phrase each.
-        ended_nan: whether the values after the last one were not finite.
+    ``notes`` say what was left out or changed; ``ended_nan``: whether the values after the last one
+    were not finite.
     """
 
     step: NDArray[np.float64]

@@ -31,13 +31,7 @@ RAY = re.compile(r"_[0-9a-f]{5,8}_\d{5}(?:_\d+)?(?:_|$)")
 
 @dataclass
 class Identity:
-    """Whose run it is.
-
-    Attributes:
-        parts: what describes the configuration, from the outermost folder inwards.
-        environment: its name, or empty if unknown.
-        seed: the random seed; None: unknown.
-    """
+    """Whose run it is: parts that describe its configuration, outermost folder first; its seed."""
 
     parts: list[str] = field(default_factory=list)
     environment: str = ""
