@@ -190,8 +190,8 @@ class Strategy(BaseStrategy):
         cdf = probs.cumsum(dim, dtype=torch.float64)
         total = cdf.select(dim, -1)
         self._check(total, 0.0, logits, tensordict)
-        action = (cdf <= (noise * total).unsqueeze(dim)).sum(dim, keepdim=True)  # 0 for NaN
-        return action.squeeze(dim), probs.gather(dim, action).squeeze(dim)
+        action = (cdf <= (noise * total).unsqueeze(dim)).sum(dim)  # 0 for NaN
+        return action, probs.gather(dim, action.unsqueeze(dim)).select(dim, 0)
 
     def _check(self, found: Tensor, low: float, logits: Tensor, tensordict: TensorDictBase) -> None:
         """Refuse a state without an action to draw, whose ``found`` is not above ``low``."""

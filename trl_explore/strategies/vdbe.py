@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
@@ -101,9 +101,8 @@ class VDBE(MixtureStrategy):
         super().step(frames)
         if not isinstance(frames, TensorDictBase):
             return
-        after = frames.get("next")
-        done = after.get("done").reshape(-1)
-        scores = read(after, self.score_key).reshape(-1)[done].tolist()
+        done = read(frames, ("next", "done")).reshape(-1)
+        scores = read(frames, unravel_key(("next", self.score_key))).reshape(-1)[done].tolist()
         trial = self._trial(frames)
         trials = [0] * len(scores) if trial is None else trial.reshape(-1)[done].tolist()
         own: dict[int, list[float]] = {}
