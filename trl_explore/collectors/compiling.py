@@ -15,7 +15,7 @@ from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
 
 from trl_explore.checks import holds
 from trl_explore.collectors.networks import Network
-from trl_explore.policies.policy import has_hooks
+from trl_explore.policies.layers import has_hooks
 from trl_explore.strategies import ContinuousMixtureStrategy, MixtureStrategy
 
 TRANSFORMS = (StepCounter, RewardSum)

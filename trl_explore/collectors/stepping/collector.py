@@ -37,7 +37,7 @@ from trl_explore.collectors.stepping.turn import (
     log_kinds,
 )
 from trl_explore.numerics.streams import Stream, key
-from trl_explore.policies.policy import is_one_hot, n_actions, n_dims
+from trl_explore.policies.layers import is_one_hot, n_actions, n_dims
 from trl_explore.strategies import ContinuousMixtureStrategy, MixtureStrategy
 
 FIRST_FRAMES = 64
