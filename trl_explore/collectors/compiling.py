@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Any, cast
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from tensordict.nn import TensorDictSequential
 from torch import nn
 from torchrl.data import OneHot
-from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
+from torchrl.envs import CatFrames, DTypeCastTransform, Transform, TransformedEnv
 
 from trl_explore.checks import holds
 from trl_explore.collectors.networks import Network
 from trl_explore.policies.layers import has_hooks
 from trl_explore.strategies import ContinuousMixtureStrategy, MixtureStrategy
 
-TRANSFORMS = (StepCounter, RewardSum)
-"""The transforms that compiled code stands in for."""
+PASSING = [kind._inv_call for kind in (Transform, CatFrames, DTypeCastTransform)]
+"""The methods that leave what the environment gets as it is, without ``in_keys_inv``."""
 
 
 class NotCompilableError(ValueError):
@@ -62,16 +62,9 @@ def check_mixture(strategy: Any, *, continuous: bool = False) -> None:
         raise NotCompilableError(f"{name} squashes its actions")
 
 
-def check_transforms(env: TransformedEnv) -> None:
-    """Reject the transforms of the user.
-
-    Raises:
-        NotCompilableError: with the name of the first.
-    """
-    for transform in cast(Iterable[Transform], env.transform or ()):
-        if type(transform) not in TRANSFORMS:
-            name = type(transform).__name__
-            raise NotCompilableError(f"it does not support the transform {name}")
+def has_inverse(transform: Transform) -> bool:
+    """Whether a transform changes what the environment gets, such as its actions."""
+    return bool(transform.in_keys_inv) or type(transform)._inv_call not in PASSING
 
 
 def names(policy: TensorDictSequential) -> str:

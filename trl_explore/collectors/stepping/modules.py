@@ -22,12 +22,15 @@ class Modules:
     Args:
         collector: the collector.
         state: its arrays ``given`` and ``given_log_prob`` get the actions of the lanes.
+        observation: what the policy reads [trials, n_features].
 
     Raises:
         NotCompilableError: if a module reads an entry that there is not.
     """
 
-    def __init__(self, collector: EpisodeCollector, state: State) -> None:
+    def __init__(
+        self, collector: EpisodeCollector, state: State, observation: NDArray[np.float32]
+    ) -> None:
         self.collector = collector
         lanes, trials = collector.lanes, collector.trials
         written: set[object] = set()
@@ -42,7 +45,7 @@ class Modules:
         signals = lanes.signals
         self.inputs = {
             "trial": torch.arange(trials),
-            "observation": torch.from_numpy(signals.observation),
+            "observation": torch.from_numpy(observation),
             "step_count": torch.from_numpy(state.length).unsqueeze(-1),
         }
         if lanes.has_masks:
