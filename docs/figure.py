@@ -37,17 +37,16 @@ def draw(folder: Path) -> str:
     jobs = sorted(map(read_job, find_jobs(folder)), key=lambda job: order.index(job.strategy))
     keys = [handle(KNOWN[job.strategy], strategy_label(job.strategy)) for job in jobs]
     with visual_language():
-        figure = new_figure(3.3)
-        figure.set_figwidth(8.4)
+        figure = new_figure(2.9)
         panels = figure.subplots(1, 2, sharey=True)
         for ax, (measure, title) in zip(panels, TITLES.items(), strict=True):
             rows = [row(judged(job, measure)) for job in jobs]
             plot_survival(ax, rows, time="", title=title, horizon=jobs[0].cap)
             ax.set_xscale("log")
             ax.set_xlim(5, 1.05 * jobs[0].cap)
-            ax.set_xlabel("iterations (logarithmic)")
+            ax.set_xlabel("iterations (log)")
             plain_numbers(ax.xaxis)
-        legend_above(panels[0], keys, columns=len(keys))
+        legend_above(panels[0], keys, columns=3)
         svg = to_svg(figure)
     shown = inline_svg(
         svg, "survival", "Share of agents that have not yet passed, and that have not yet learned"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Unpack
 
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
@@ -11,6 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from trl_explore.checks import check_number
+from trl_explore.strategies.discrete import Options
 from trl_explore.strategies.frames import read, readable
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
 
@@ -66,7 +67,7 @@ class VDBE(MixtureStrategy):
         delta: float = 0.5,
         step_size: float = 0.1,
         score_key: NestedKey = "episode_reward",
-        **options: Any,
+        **options: Unpack[Options],
     ) -> None:
         super().__init__(**options)
         self.initial = check_number("initial", initial, 0, 1)
