@@ -7,7 +7,6 @@ arguments is one factor; otherwise every argument that differs is one. A schedul
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from typing import Any
 
 from trl_explore.names import OPTIONS, STRATEGIES, option_label, option_of, strategy_label, symbol
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.statistics.pairing import AGENT_GROUPS, NO_AGENT
+from trl_explore.statistics.pairing import AGENT_GROUPS, NO_AGENT, canonical
 
 Flat = Mapping[str, Any]
 """Key within a group -> value; ``_target_`` is the class."""
@@ -201,11 +200,6 @@ def value_words(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(value_words, value))}]"
     return str(value).rsplit(".", 1)[-1] if isinstance(value, str) else str(value)
-
-
-def canonical(value: Any) -> str:
-    """Canonical text, in which 1 and 1.0 are equal."""
-    return json.dumps(json.loads(json.dumps(value, default=str), parse_int=float), sort_keys=True)
 
 
 def _of_classes(group: str, flats: Mapping[str, Flat], classes: Mapping[str, str]) -> list[Factor]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from shlex import quote
 from typing import Any
 
 import numpy as np
 
 from trl_explore.report.evidence import Answered, Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
-from trl_explore.report.questions import quoted, shown
+from trl_explore.report.questions import shown
 from trl_explore.report.tables import (
     Column,
     Record,
@@ -178,7 +179,7 @@ def jobs_table(evidence: Evidence) -> Table:
             for job in part.group.jobs[c.name]:
                 o, source = job.outcomes, job.outcomes.provenance
                 first, last = int(o.trial.min()), int(o.trial.max())
-                words = map(quoted, shown(job.command))
+                words = map(quote, shown(job.command))
                 records.append({
                     "experiment": o.experiment, "job": o.name,
                     "configuration": part.group.labels[c.name], "seed": source.get("seed"),

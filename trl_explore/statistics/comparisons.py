@@ -193,26 +193,14 @@ def _compared(
             -x.values, always[0], -y.values, always[1], paired=paired, level=level
         )
     comparison = Comparison(
-        a=a.name,
-        b=b.name,
-        measure=measure.name,
-        less_is_better=measure.less_is_better,
-        design="paired" if paired else "unpaired",
-        n_a=len(x),
-        n_b=len(y),
-        dropped=len(a) + len(b) - len(x) - len(y),
-        cap=a.cap,
-        mean_a=float(x.values.mean()),
-        mean_b=float(y.values.mean()),
-        difference=result.estimate,
-        p_value=result.p_value,
-        p_holm=result.p_value,
-        p_logrank=p_logrank,
-        better=better,
-        correlation=result.correlation,
-        variance_ratio=result.variance_ratio,
-        sd=result.sd,
-    )
+        a=a.name, b=b.name, measure=measure.name, less_is_better=measure.less_is_better,
+        design="paired" if paired else "unpaired", n_a=len(x), n_b=len(y),
+        dropped=len(a) + len(b) - len(x) - len(y), cap=a.cap,
+        mean_a=float(x.values.mean()), mean_b=float(y.values.mean()),
+        difference=result.estimate, p_value=result.p_value, p_holm=result.p_value,
+        p_logrank=p_logrank, better=better, correlation=result.correlation,
+        variance_ratio=result.variance_ratio, sd=result.sd,
+    )  # fmt: skip
     return comparison, result
 
 
