@@ -16,7 +16,7 @@ from torchrl.envs import CatFrames, DTypeCastTransform, Transform, TransformedEn
 
 from trl_explore.checks import holds
 from trl_explore.collectors.networks import Network
-from trl_explore.policies.policy import has_hooks
+from trl_explore.policies.layers import has_hooks
 from trl_explore.strategies import ContinuousMixtureStrategy, MixtureStrategy
 
 PASSING = [kind._inv_call for kind in (Transform, CatFrames, DTypeCastTransform)]

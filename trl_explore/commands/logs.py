@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.console import text_table
+from trl_explore.logs.csv_files import USUAL
 from trl_explore.logs.measures import tasks
 from trl_explore.logs.runs import READERS, read_runs
-from trl_explore.logs.table import USUAL
 
 if TYPE_CHECKING:
     from trl_explore.report.tables import Column

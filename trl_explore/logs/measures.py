@@ -23,7 +23,6 @@ from trl_explore.statistics.comparisons import Measure
 from trl_explore.statistics.estimates import LEVEL, Estimate, pass_rate
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.samples import Kind, Sample
-from trl_explore.statistics.survival import SurvivalCurve, kaplan_meier
 
 GRID = 500
 """Points of the grid on which curves are averaged."""
@@ -79,10 +78,6 @@ class Configuration:
         horizon = float(self.grid[-1])
         values = np.where(self.cut, np.nan, self.time)
         return self.sample(values, [Kind(~self.passed, horizon, horizon)])
-
-    def survival(self, *, level: float = LEVEL) -> SurvivalCurve:
-        """The Kaplan-Meier curve of the steps to passing; a run cut off is censored there."""
-        return kaplan_meier(self.time, self.passed, level=level)
 
     def outcomes(self) -> Outcomes:
         """The runs as outcomes, which is what the comparisons take."""

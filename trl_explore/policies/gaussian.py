@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase
 
 from trl_explore.checks import check_flag, check_number
 from trl_explore.numerics.layers import lane_linear
-from trl_explore.policies.policy import LaneLinear, LaneMLP, n_dims, n_features
+from trl_explore.policies.layers import LaneLinear, LaneMLP, n_dims, n_features
 
 LARGEST_LOG = 20.0
 """Log-scales are kept within ±20; beyond that, an action or density may not be finite."""

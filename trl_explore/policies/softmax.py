@@ -10,10 +10,10 @@ from torch import nn
 from torchrl.envs import EnvBase
 
 from trl_explore.checks import settle
-from trl_explore.policies.initial import initial_weights
-from trl_explore.policies.policy import (
+from trl_explore.policies.layers import (
     LaneLinear,
     LaneMLP,
+    initial_weights,
     is_one_hot,
     n_actions,
     n_features,

@@ -144,7 +144,8 @@ def gather(loaded: Loaded, study: StudyFile | None = None, say: Say = silent) ->
     say("statements")
     checked = _checked(data, study)
     reexamined, causes = _why(data)
-    decompositions = decompose([run for p in parts for run in runs_of(p.group, p.traces.heights)])
+    runs = [run for p in parts for run in runs_of(p.group, p.traces.heights)]
+    decompositions = decompose(runs, study.level)
     return Evidence(
         study=study,
         groups=parts,

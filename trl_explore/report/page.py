@@ -102,7 +102,6 @@ def page(content: Content) -> str:
     figures = [figure for part in parts for figure in content.figures[part.group.id]]
     hero = next((f for f in figures if f.kind.hero), None)
     shown: list[Picture] = [*content.acting, *figures]
-    inside = _inside(([hero] if hero else []) + shown)
     trials = sum(len(c) for part in parts for c in part.group.configurations)
     frames = sum(s.frames_total for part in parts for s in part.summaries)
     environments = dict.fromkeys(part.group.environment for part in parts)
@@ -110,14 +109,11 @@ def page(content: Content) -> str:
     known = [c for c in evidence.checked if c not in missing]
     study = evidence.study
     said = "the thesis says" if study.claims == "thesis" else "statement"
-    found = environment()
-    found.globals["inside"] = frozenset(f.id for f in shown if f.id in inside)
-    return found.get_template("page.html").render(
+    return render(
+        "page.html",
+        ([hero] if hero else []) + shown,
         title=study.title or TITLE,
-        mark=MARK,
         study=study,
-        css=Markup(_file("page.css") + theme_css(f.svg for f in shown if f.id in inside)),
-        script=Markup(_file("page.js")),
         facts=f"{trials:,} trials, {frames:,} frames, {len(evidence.outcomes)} jobs.",
         main=main,
         others=[name for name in environments if name != main.environment],
@@ -152,22 +148,25 @@ def page(content: Content) -> str:
         provenance=_provenance(evidence),
         jobs=content.jobs,
         files=shown,
-    )  # fmt: skip
+    )
+
+
+def render(template: str, figures: Sequence[Picture], **parts: Any) -> str:
+    """A page as text; the figures that fit, in this order, are inside it."""
+    inside, left = set(), INLINE
+    for figure in {f.id: f for f in figures}.values():
+        left -= len(figure.svg)
+        if left >= 0:
+            inside.add(figure.id)
+    found = environment()
+    found.globals["inside"] = inside
+    css = _file("page.css") + theme_css(f.svg for f in figures if f.id in inside)
+    script = Markup(_file("page.js"))
+    return found.get_template(template).render(mark=MARK, css=Markup(css), script=script, **parts)
 
 
 def _statements(claims: object) -> str:
     return "The thesis's statements" if claims == "thesis" else "The statements of this study"
-
-
-def _inside(figures: Sequence[Picture]) -> set[str]:
-    """Ids of the drawings that are inside the page: the first ones that fit."""
-    found: set[str] = set()
-    left = INLINE
-    for figure in figures:
-        left -= len(figure.svg) if figure.id not in found else 0
-        if left >= 0:
-            found.add(figure.id)
-    return found
 
 
 def _differs(parts: Sequence[GroupEvidence]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, cast
+from typing import Any, TypedDict, cast
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -14,6 +14,19 @@ from torchrl.data import Categorical, MultiCategorical, MultiOneHot, OneHot, Ten
 
 from trl_explore.strategies.frames import read
 from trl_explore.strategies.strategy import BELOW_ONE, BaseStrategy, exploring
+
+
+class Options(TypedDict, total=False):
+    """The arguments of ``Strategy``, which every strategy over n actions takes too."""
+
+    spec: TensorSpec | None
+    logits_key: NestedKey
+    action_key: NestedKey
+    action_mask_key: NestedKey | None
+    log_prob_key: NestedKey | None
+    noise_key: NestedKey | None
+    trial_key: NestedKey
+    validate_args: bool
 
 
 class Strategy(BaseStrategy):
@@ -190,8 +203,8 @@ class Strategy(BaseStrategy):
         cdf = probs.cumsum(dim, dtype=torch.float64)
         total = cdf.select(dim, -1)
         self._check(total, 0.0, logits, tensordict)
-        action = (cdf <= (noise * total).unsqueeze(dim)).sum(dim, keepdim=True)  # 0 for NaN
-        return action.squeeze(dim), probs.gather(dim, action).squeeze(dim)
+        action = (cdf <= (noise * total).unsqueeze(dim)).sum(dim)  # 0 for NaN
+        return action, probs.gather(dim, action.unsqueeze(dim)).select(dim, 0)
 
     def _check(self, found: Tensor, low: float, logits: Tensor, tensordict: TensorDictBase) -> None:
         """Refuse a state without an action to draw, whose ``found`` is not above ``low``."""

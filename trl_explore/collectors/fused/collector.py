@@ -37,7 +37,7 @@ from trl_explore.envs import lane_env
 from trl_explore.envs.kernels import Kernel, kernel_of
 from trl_explore.envs.make import own_transforms
 from trl_explore.numerics.streams import Stream, key
-from trl_explore.policies.policy import is_one_hot
+from trl_explore.policies.layers import is_one_hot
 from trl_explore.strategies import MixtureStrategy
 
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)

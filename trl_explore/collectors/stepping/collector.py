@@ -39,7 +39,7 @@ from trl_explore.collectors.stepping.turn import (
 )
 from trl_explore.envs.make import own_transforms
 from trl_explore.numerics.streams import Stream, key
-from trl_explore.policies.policy import is_one_hot, n_actions, n_dims
+from trl_explore.policies.layers import is_one_hot, n_actions, n_dims
 from trl_explore.strategies import ContinuousMixtureStrategy, MixtureStrategy
 
 FIRST_FRAMES = 64

@@ -11,14 +11,14 @@ from scipy import stats
 from trl_explore.logs.measures import Configuration, Task, profile
 from trl_explore.report.figures import Picture
 from trl_explore.report.figures.axes import handle, legend_above, new_figure, plain_numbers
-from trl_explore.report.log_tables import PERCENT
 from trl_explore.report.style import INK, Style, drawn_files
 from trl_explore.statistics.estimates import LEVEL
+from trl_explore.statistics.survival import kaplan_meier
 
 
 def task_figures(task: Task, id: str, looks: dict[str, Style]) -> list[Picture]:
     """Every figure of one environment."""
-    bands = f"Bands: {PERCENT} intervals, at each step on its own."
+    bands = f"Bands: {100 * LEVEL:g} % intervals, at each step on its own."
     drawn = [
         ("curves", "Learning curves",
          f"Mean score of the runs by step, smoothed as above. {bands}", _draw_curves),
@@ -76,7 +76,7 @@ def _draw_curves(ax: Axes, c: Configuration, look: Style) -> None:
 
 
 def _draw_survival(ax: Axes, c: Configuration, look: Style) -> None:
-    curve, end = c.survival(), float(c.grid[-1])
+    curve, end = kaplan_meier(c.time, c.passed), float(c.grid[-1])
     times, heights = np.append(curve.times, end), np.append(curve.survival, curve.survival[-1])
     low, high = np.append(curve.low, curve.low[-1]), np.append(curve.high, curve.high[-1])
     if curve.times[-1] < end:  # unknown after the last run was cut off

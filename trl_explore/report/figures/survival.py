@@ -28,7 +28,6 @@ from trl_explore.report.figures.axes import (
 )
 from trl_explore.report.figures.panels import Panel, draw_panels, panels_of
 from trl_explore.report.style import INK, MUTED, Style
-from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import convergence_times
 from trl_explore.statistics.survival import SurvivalCurve, kaplan_meier, number_at_risk
 
@@ -128,7 +127,7 @@ def _rows(e: GroupEvidence, names: Sequence[str], unit: str) -> list[Row]:
         durations, converged = convergence_times(by_name[name], unit)
         if unit == "frames":  # failed trials stay at risk until the end of the common axis
             durations = np.where(converged, durations, end)
-        curve = kaplan_meier(durations, converged)
+        curve = kaplan_meier(durations, converged, level=e.level)
         rows.append(Row(group.labels[name], curve, durations, group.styles[name]))
     return rows
 
@@ -150,7 +149,7 @@ def _quantity(e: GroupEvidence) -> str:
 
 def _caption(e: GroupEvidence) -> str:
     many = len(e.group.configurations) > BANDS_UP_TO
-    bands = "" if many else f" Bands: {100 * LEVEL:g} % intervals."
+    bands = "" if many else f" Bands: {100 * e.level:g} % intervals."
     return (
         f"Share of trials that have not converged (Kaplan–Meier). A curve that falls earlier and"
         f" further is better. Trials that had not passed by {e.group.cap:,} iterations were stopped"
@@ -171,7 +170,7 @@ def _panels_caption(e: GroupEvidence) -> str:
     return (
         "Share of trials that have not converged (Kaplan–Meier). Trials that had not passed by the"
         f" cap of {e.group.cap:,} iterations were stopped there."
-        f" Bands: {100 * LEVEL:g} % intervals."
+        f" Bands: {100 * e.level:g} % intervals."
     )
 
 
@@ -217,7 +216,7 @@ LEARNED_PANELS = Kind(
     lambda e: _draw_panels(_learned(e)),
     lambda e: (
         "The same trials, judged by what they have learned: the policy is played without"
-        f" exploration. Bands: {100 * LEVEL:g} % intervals."
+        f" exploration. Bands: {100 * e.level:g} % intervals."
     ),
 )
 FRAMES = Kind(
