@@ -80,6 +80,8 @@ EPSILON = Kind(
 )
 
 
+MOST_TICKS = 8
+"""The most sizes of which each has a tick."""
 EPISODES_OF_UNIFORM = "trl_explore/DeepSea-v0"
 """The environment in which uniform actions earn the reward in one of 2^size episodes."""
 OVER = 1.25
@@ -125,6 +127,9 @@ def _draw_sizes(e: GroupEvidence) -> Figure:
         figure, list(panels.items()), lambda ax, item: _draw_panel(ax, *item, e), "size",
         _quantity(e),
     )  # fmt: skip
+    sizes = sorted(set(map(size_of, e.group.configurations)))
+    if len(sizes) <= MOST_TICKS:
+        figure.axes[0].set_xticks(sizes)  # shared by all panels
     entries = zip(names, styles(names), strict=True)
     handles = [handle(style, strategy_label(name)) for name, style in entries]
     legend_above(figure.axes[0], handles, columns=3)
