@@ -113,7 +113,8 @@ def _draw_panel(ax: Axes, title: str, panel: Lines, e: GroupEvidence) -> None:
         ax.plot(ends, math.log(2) * 2.0**ends, color=INK, lw=1.2, ls=(0, (4, 3)), zorder=2)
     ax.set_title(title, loc="left", color=INK)
     ax.set_yscale("log")
-    ax.set_ylim(top=cap * OVER ** (len(panel) + 1))
+    # The panels share their axis, and the rows above the cap differ in number.
+    ax.set_ylim(top=max(ax.get_ylim()[1], cap * OVER ** (len(panel) + 1)))
     ax.set_xlim(ticks[0] - 0.7, ticks[-1] + 0.7)
     ax.grid()
     plain_numbers(ax.yaxis)
