@@ -117,21 +117,6 @@ def initial_weights(
     return [torch.from_numpy(weight) for weight in weights]
 
 
-def glorot_uniform(
-    trials: int, n_out: int, n_in: int, *, seed: int = 0, first_trial: int = 0
-) -> Tensor:
-    """Weights W ~ U(−b, b), b = √(6 / (n_in + n_out)); each trial draws from its own stream.
-
-    The bound is that of one trial's layer (Glorot & Bengio 2010, eq. 16; the initialiser of the
-    thesis's ``slim.fully_connected``).
-
-    Returns:
-        [trials, n_out, n_in] float32.
-    """
-    (weight,) = initial_weights([n_in, n_out], trials, seed=seed, first_trial=first_trial)
-    return weight
-
-
 def n_actions(env: EnvBase) -> int:
     """The number of actions of an environment with a Categorical action spec."""
     spec = env.action_spec
