@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase
 
 from trl_explore.checks import check_flag, check_number
 from trl_explore.numerics.layers import lane_linear
-from trl_explore.policies.layers import LaneLinear, LaneMLP, n_dims, n_features
+from trl_explore.policies.layers import LaneLinear, LaneMLP, layer_sizes, n_dims
 
 LARGEST_LOG = 20.0
 """Log-scales are kept within ±20; beyond that, an action or density may not be finite."""
@@ -116,18 +116,16 @@ class GaussianMLPPolicy(TensorDictModule):
         seed: int = 0,
         first_trial: int = 0,
     ) -> None:
-        if isinstance(hidden, str) or not isinstance(hidden, Sequence):
-            raise ValueError(f"hidden must be a list of sizes such as [32, 32], got {hidden!r}")
         (trials,) = env.batch_size
         dims = n_dims(env)
         network = LaneMLP(
-            [n_features(env), *hidden, dims],
+            layer_sizes(env, hidden, dims),
             trials,
             activation,
             init,
             seed,
             first_trial,
-            bias=check_flag("bias", bias),
+            bias=bias,
             output_gain=output_gain,
         )
         dependent = check_flag("state_dependent_scale", state_dependent_scale)
