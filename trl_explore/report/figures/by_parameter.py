@@ -97,6 +97,8 @@ EPSILON = Kind(
 )
 
 
+MOST_TICKS = 8
+"""The most sizes of which each has a tick."""
 EPISODES_OF_UNIFORM = "trl_explore/DeepSea-v0"
 """The environment in which uniform actions earn the reward in one of 2^size episodes."""
 OVER = 1.25
@@ -128,7 +130,8 @@ def _draw_panel(ax: Axes, title: str, panel: Lines, e: GroupEvidence) -> None:
         ax.plot(ends, math.log(2) * 2.0**ends, color=INK, lw=1.2, ls=(0, (4, 3)), zorder=2)
     ax.set_title(title, loc="left", color=INK)
     ax.set_yscale("log")
-    ax.set_ylim(top=cap * OVER ** (len(panel) + 1))
+    # The panels share their axis, and the rows above the cap differ in number.
+    ax.set_ylim(top=max(ax.get_ylim()[1], cap * OVER ** (len(panel) + 1)))
     ax.set_xlim(ticks[0] - 0.7, ticks[-1] + 0.7)
     ax.grid()
     plain_numbers(ax.yaxis)
@@ -142,6 +145,9 @@ def _draw_sizes(e: GroupEvidence) -> Figure:
         figure, list(panels.items()), lambda ax, item: _draw_panel(ax, *item, e), "size",
         _quantity(e),
     )  # fmt: skip
+    sizes = sorted(set(map(size_of, e.group.configurations)))
+    if len(sizes) <= MOST_TICKS:
+        figure.axes[0].set_xticks(sizes)  # shared by all panels
     entries = zip(names, styles(names), strict=True)
     handles = [handle(style, strategy_label(name)) for name, style in entries]
     legend_above(figure.axes[0], handles, columns=3)
