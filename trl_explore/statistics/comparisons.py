@@ -114,9 +114,16 @@ class Comparison:
         second = self.difference.above(0.0) if self.less_is_better else self.difference.below(0.0)
         return self.a if first else self.b if second else None
 
+    @property
+    def same(self) -> str:
+        """``identical`` if all pairs are; of times at the cap, ``neither passes``; else empty."""
+        if self.sd != 0 or self.difference.value != 0:
+            return ""
+        return "neither passes" if self.less_is_better and self.mean_a == self.cap else "identical"
+
     def row(self) -> dict[str, Any]:
         """Flat dictionary for a table; each estimate as ``x``, ``x_low``, ``x_high``."""
-        return flat(vars(self)) | {"winner": self.winner}
+        return flat(vars(self)) | {"winner": self.winner, "same": self.same}
 
 
 def compare(
