@@ -284,7 +284,8 @@ def _schedule_words(node: Mapping[str, Any]) -> str:
     if "final" in node:
         length = f" in {value_words(node['iterations'])}" if "iterations" in node else ""
         return f"{start} → {value_words(node['final'])}{length} ({', '.join([kind, *rest])})"
-    return f"{start} → ({', '.join([kind, *rest])})"
+    limit = "0 " if kind in ("exponential", "inverse") else ""
+    return f"{start} → {limit}({', '.join([kind, *rest])})"
 
 
 def _spaced(name: str) -> str:
