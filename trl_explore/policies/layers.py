@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torchrl.data import Bounded, Categorical, Unbounded
 from torchrl.envs import EnvBase
 
-from trl_explore.checks import check_integer, check_number
+from trl_explore.checks import check_flag, check_integer, check_number
 from trl_explore.numerics.layers import activate, check_activation, lane_linear
 from trl_explore.numerics.streams import Stream, generator
 
@@ -117,21 +117,6 @@ def initial_weights(
     return [torch.from_numpy(weight) for weight in weights]
 
 
-def glorot_uniform(
-    trials: int, n_out: int, n_in: int, *, seed: int = 0, first_trial: int = 0
-) -> Tensor:
-    """Weights W ~ U(−b, b), b = √(6 / (n_in + n_out)); each trial draws from its own stream.
-
-    The bound is that of one trial's layer (Glorot & Bengio 2010, eq. 16; the initialiser of the
-    thesis's ``slim.fully_connected``).
-
-    Returns:
-        [trials, n_out, n_in] float32.
-    """
-    (weight,) = initial_weights([n_in, n_out], trials, seed=seed, first_trial=first_trial)
-    return weight
-
-
 def n_actions(env: EnvBase) -> int:
     """The number of actions of an environment with a Categorical action spec."""
     spec = env.action_spec
@@ -159,6 +144,13 @@ def n_dims(env: EnvBase) -> int:
 def n_features(env: EnvBase) -> int:
     """The length of an observation."""
     return env.observation_spec["observation"].shape[-1]
+
+
+def layer_sizes(env: EnvBase, hidden: Sequence[int], n_out: int) -> list[int]:
+    """The sizes of a network from the observations to ``n_out`` numbers, for ``LaneMLP``."""
+    if isinstance(hidden, str) or not isinstance(hidden, Sequence):
+        raise ValueError(f"hidden must be a list of sizes such as [32, 32], got {hidden!r}")
+    return [n_features(env), *hidden, n_out]
 
 
 def observation_space(env: EnvBase) -> gym.Space:
@@ -246,14 +238,12 @@ class LaneMLP(nn.Module):
         super().__init__()
         self.activation = check_activation(activation)
         self.sizes = list(sizes)
-        if not isinstance(bias, bool):
-            raise ValueError(f"bias must be true or false, got {bias!r}")
         if init == "zeros" and len(sizes) > 2:
             raise ValueError("init 'zeros' gives hidden layers no gradient; choose another init")
         streams = {"seed": seed, "first_trial": first_trial, "network": network}
         weights = initial_weights(sizes, trials, init, output_gain=output_gain, **streams)
         self.layers = nn.ModuleList(
-            LaneLinear(weight, torch.zeros(weight.shape[:2]) if bias else None)
+            LaneLinear(weight, torch.zeros(weight.shape[:2]) if check_flag("bias", bias) else None)
             for weight in weights
         )
 

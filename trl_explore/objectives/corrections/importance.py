@@ -37,11 +37,7 @@ class PerStep(ImportanceWeights):
     ) -> Tensor:
         """ρ_t · (G_t − b_t) [frames]."""
         assert log_ratio is not None
-        log_weight = self._clipped(log_ratio)
-        if self.self_normalize:
-            weight = shares(log_weight, episodes.trial, episodes.trials)
-        else:
-            weight = log_weight.exp()
+        weight = self._weights(log_ratio, episodes.trial, episodes.trials)
         returns = episodes.returns
         return weight.to(returns.dtype) * (returns - baseline)
 
@@ -109,11 +105,8 @@ class Trajectory(ImportanceWeights):
     ) -> Tensor:
         """W · (G_t − b_t) [frames]."""
         assert log_ratio is not None
-        log_weight = self._clipped(episodes.by_episode(log_ratio))
-        if self.self_normalize:
-            weight = shares(log_weight, episodes.owner, episodes.trials)
-        else:
-            weight = log_weight.exp()
+        log_weight = episodes.by_episode(log_ratio)
+        weight = self._weights(log_weight, episodes.owner, episodes.trials)
         returns = episodes.returns
         return weight.to(returns.dtype)[episodes.index] * (returns - baseline)
 

@@ -38,14 +38,13 @@ def plot_plane(
 
     Args:
         ax: empty axes.
-        values: [len(xs), len(ys)]; nan: not measured.
-        xs: values of the parameter ``x`` from left to right.
-        ys: values of the parameter ``y`` from bottom to top.
-        x: name of the first parameter.
+        values: [len(xs), len(ys)]; NaN: not measured.
+        xs: values of the first parameter from left to right.
+        ys: values of the second from bottom to top.
+        x: name of the first.
         y: name of the second.
         scale: the worst value (dark) and the best value (light).
         marked: the cell that gets a frame.
-
     """
     worst, best = scale
     for i in range(len(xs)):
