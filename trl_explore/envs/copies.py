@@ -67,34 +67,20 @@ class Signals(NamedTuple):
     def of(cls, n: int, n_features: int, masked: int, memory: Any = None) -> Signals:
         """Signals of n copies; ``masked`` is the number of actions in a mask, 0 without masks.
 
-        ``memory`` is a buffer of at least ``size`` bytes; None: memory of its own.
+        ``memory`` is a buffer for the ``layout``; None: memory of its own.
         """
-        if memory is None:
-            memory = np.zeros(cls.size(n, n_features, masked), np.uint8)
-        columns: list[Any] = []
-        place = 0
-        for width, dtype in _columns(n_features, masked):
-            shape = (n,) if width is None else (n, width)
-            columns.append(np.ndarray(shape, dtype, memory, place))
-            place += _whole_words(columns[-1].nbytes)
-        columns[-1][:] = True
+        layout = cls.layout(n, n_features, masked)
+        whole = np.zeros((), layout) if memory is None else np.ndarray((), layout, memory)
+        whole["mask"] = True
+        columns: list[Any] = [whole[name] for name in cls._fields]
         return cls(*columns)
 
     @staticmethod
-    def size(n: int, n_features: int, masked: int) -> int:
-        """The bytes of n copies' signals."""
-        kinds = [(width or 1, np.dtype(dtype)) for width, dtype in _columns(n_features, masked)]
-        return sum(_whole_words(n * width * dtype.itemsize) for width, dtype in kinds)
-
-
-def _columns(n_features: int, masked: int) -> tuple[tuple[int | None, type], ...]:
-    """The numbers per copy (None: one, without a dimension) and the type of every signal."""
-    flag = (None, np.bool_)
-    return (n_features, np.float32), (None, np.float64), flag, flag, (masked, np.bool_)
-
-
-def _whole_words(size: int) -> int:
-    return -(-size // 8) * 8
+    def layout(n: int, n_features: int, masked: int) -> np.dtype[Any]:
+        """The memory of n copies' signals."""
+        observation, mask = ("observation", "f4", (n, n_features)), ("mask", "?", (n, masked))
+        flags = [(name, "?", (n,)) for name in ("terminated", "truncated")]
+        return np.dtype([observation, ("reward", "f8", (n,)), *flags, mask], align=True)
 
 
 class Copies:

@@ -55,7 +55,7 @@ class ProcessCopies(Copies):
     def __init__(
         self, id: str, make: Make, first: gym.Env, shape: tuple[int, int, int], workers: int
     ) -> None:
-        self._file, size = _memory_file(), Signals.size(*shape)
+        self._file, size = _memory_file(), Signals.layout(*shape).itemsize
         os.ftruncate(self._file, size)
         weakref.finalize(self, os.close, self._file)
         self.all = Signals.of(*shape, mmap.mmap(self._file, size))
@@ -257,5 +257,5 @@ def _copies(
     """The copies in this worker process."""
     if spec is not None:
         gym.registry.setdefault(spec.id, spec)
-    memory = mmap.mmap(file, Signals.size(*shape))
+    memory = mmap.mmap(file, Signals.layout(*shape).itemsize)
     return Copies(id, make, _share(Signals.of(*shape, memory), k, workers))

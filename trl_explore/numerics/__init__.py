@@ -28,21 +28,7 @@ neither numba nor torch.
   Acrobot's first observation. Test: ``tests/envs/kernels/test_transitions.py``.
 * All of them: the bits of a complete training run. Test: ``tests/test_golden.py``.
 
-**What each part gains.** Measured with 1,500 softmax trials of CartPole after 25 iterations, in ns
-per frame. With all parts, collecting takes 21.5, the loss with its gradient 10.7. Without the part:
-
-* ``exp32``, ``log32``, ``log1p32`` (the C library's functions instead): collecting 32.6, the loss
-  27.4.
-* ``cos_sin`` (the C library's functions instead): collecting 27.6. The bits are the same if
-  ``agree`` is true.
-* ``dot`` (one sequential sum instead): the loss 14.2.
-* ``columns`` (a loop instead): the loss about 12, which is 8 to 14 % more. The bits are the same.
-* The blocks of eight frames in ``run_returns`` (a loop over frames instead): the loss about 13.
-  The steps of eight in ``end_of_run`` and ``end_of_episode``: about 12.
-* ``borrow``: no gain here, but collecting takes 7 % more without it for a network with hidden
-  layers of 64 and 64, and 8 % more for a table of 500 states.
-* ``cos32``, ``sin32``: no gain in speed. They give Acrobot's kernel the same bits as gymnasium;
-  test: ``tests/envs/kernels/test_transitions.py``.
+docs/speed.md says what each part gains.
 """
 
 TWINS = {

@@ -151,7 +151,8 @@ def compilable(
     Raises:
         NotCompilableError: with the reason, if one of them is not supported.
     """
-    lane = lane_env(env).envs[0]
+    lanes = lane_env(env)
+    lane = lanes.envs[0]
     while isinstance(lane, gym.Wrapper):
         if type(lane) not in WRAPPERS:
             raise NotCompilableError(f"it does not support the wrapper {type(lane).__name__}")
@@ -169,24 +170,12 @@ def compilable(
         raise NotCompilableError(str(error.args[0])) from None
     if has_mask(env) and kernel.mask is None:
         raise NotCompilableError(f"the kernel of {type(lane).__name__} has no action mask")
-    check_sizes(env, kernel, *served)
-    return kernel, *served
-
-
-def check_sizes(
-    env: TransformedEnv, kernel: Kernel, network: Network, parameters: list[nn.Parameter]
-) -> None:
-    """Compiled code does not check bounds, so all sizes are validated here.
-
-    Raises:
-        NotCompilableError: with the sizes that differ.
-    """
     sizes = (kernel.n_actions, kernel.n_features)
-    lanes = lane_env(env)
     n_actions = int(cast(Discrete, lanes.single_action_space).n)
-    served = (n_actions, *(lanes.single_observation_space.shape or ()))
-    if served != sizes:
+    own = (n_actions, *(lanes.single_observation_space.shape or ()))
+    if own != sizes:
         raise NotCompilableError(
-            f"the kernel has (actions, features) {sizes}, but the environment has {served}"
+            f"the kernel has (actions, features) {sizes}, but the environment has {own}"
         )
-    check_weights(network, parameters, lanes.num_envs, *sizes[::-1])
+    check_weights(*served, lanes.num_envs, *sizes[::-1])
+    return kernel, *served

@@ -43,30 +43,18 @@ part = nb.njit(inline="always", nogil=True, error_model="numpy")
 class Lanes(NamedTuple):
     """Everything that a step of an episode reads and writes, [..., LANES], on the stack."""
 
-    state: Any
-    """State of the kernel [state_size]."""
-    rng: Any
-    """Random stream of the environment [STATE_SIZE]."""
-    noise: Any
-    """Action noise of four steps, uniform in [0, 1) [4]."""
-    point: Any
-    """Mixture weights of argmax, softmax and uniform, and temperature [4]."""
-    local: Any
-    """Weights of the policy [network.local]."""
-    x: Any
-    """Observation [n_features]."""
-    probs: Any
-    """Logits, then μ [n_actions]."""
-    work: Any
-    """Work space [n_actions]."""
-    place: Any
-    """Indices of the episode, see the constants below [6]."""
-    value: Any
-    """Reward, sum of rewards, and μ(action) [3]."""
-    score: Any
-    """Sum of rewards, in double []."""
-    over: Any
-    """Whether the episode has terminated []."""
+    state: Any  # state of the kernel [state_size]
+    rng: Any  # random stream of the environment [STATE_SIZE]
+    noise: Any  # action noise of four steps, uniform in [0, 1) [4]
+    point: Any  # mixture weights of argmax, softmax and uniform, and temperature [4]
+    local: Any  # weights of the policy [network.local]
+    x: Any  # observation [n_features]
+    probs: Any  # logits, then μ [n_actions]
+    work: Any  # work space [n_actions]
+    place: Any  # indices of the episode, see the constants below [6]
+    value: Any  # reward, sum of rewards, and μ(action) [3]
+    score: Any  # sum of rewards, in double []
+    over: Any  # whether the episode has terminated []
 
 
 SLOT, WEIGHT_SLOT, ROW, ACTION, FRAME, END = range(6)
@@ -140,14 +128,10 @@ class Scratch(NamedTuple):
     """[slots * max_steps * n_features]; empty if the observation is narrow."""
     allowed: NDArray[np.bool_]
     """Action mask [slots * max_steps * n_actions]; empty if there is none."""
-    steps: NDArray[np.int64]
-    """The number of frames [slots]."""
-    ended: NDArray[np.bool_]
-    """Whether the last frame terminated the episode [slots]."""
-    score: NDArray[np.float64]
-    """The sum of the rewards, in double [slots]."""
-    own: Any
-    """``own`` and ``hidden`` of ``Network.memory``, with one weight slot per SIMD lane."""
+    steps: NDArray[np.int64]  # the number of frames [slots]
+    ended: NDArray[np.bool_]  # whether the last frame terminated the episode [slots]
+    score: NDArray[np.float64]  # the sum of the rewards, in double [slots]
+    own: Any  # ``own`` and ``hidden`` of ``Network.memory``, with one weight slot per SIMD lane
     hidden: NDArray[np.float32]
 
 

@@ -32,39 +32,23 @@ BEGIN, RECORD, ACT = 1, 2, 4
 class State(NamedTuple):
     """What the lanes carry from turn to turn."""
 
-    rows: Any
-    """The running lanes, in ascending order [trials]; the first ``left`` count."""
-    episodes: Any
-    """The number of the episode of each lane [trials]."""
-    rng: Any
-    """The stream of action noise of each lane [trials, STATE_SIZE]."""
-    action: Any
-    """The actions of the running lanes, flat [trials * max(1, n_dims)]."""
-    score: Any
-    """Sum of rewards of each lane, in double [trials]."""
-    total: Any
-    """The same sum in single precision, as ``RewardSum`` computes it [trials]."""
-    length: Any
-    """Frames of each lane's episode [trials]."""
-    point: Any
-    """Weights of argmax, softmax and uniform, and temperature of each lane [trials, 4]."""
-    scale: Any
-    """Standard deviations of each lane's Gaussian [trials, n_dims]."""
-    local: Any
-    """Weights of small linear policies [trials, network.local]."""
-    own: Any
-    """Weights of the other networks, from ``Network.memory``, and work space."""
+    rows: Any  # the running lanes, in ascending order [trials]; the first ``left`` count
+    episodes: Any  # the number of the episode of each lane [trials]
+    rng: Any  # the stream of action noise of each lane [trials, STATE_SIZE]
+    action: Any  # the actions of the running lanes, flat [trials * max(1, n_dims)]
+    score: Any  # sum of rewards of each lane, in double [trials]
+    total: Any  # the same sum in single precision, as ``RewardSum`` computes it [trials]
+    length: Any  # frames of each lane's episode [trials]
+    point: Any  # weights of argmax, softmax and uniform, and temperature of each lane [trials, 4]
+    scale: Any  # standard deviations of each lane's Gaussian [trials, n_dims]
+    local: Any  # weights of small linear policies [trials, network.local]
+    own: Any  # weights of the other networks, from ``Network.memory``, and work space
     hidden: Any
-    out: Any
-    """Logits, then μ [n_actions]; or loc [n_dims]."""
-    work: Any
-    """Work space [n_actions]."""
-    noise: Any
-    """Noise of one frame [n_dims + 1]."""
-    given: Any
-    """Actions written by torch modules, flat [trials * max(1, n_dims)]."""
-    given_log_prob: Any
-    """Their log-probabilities [trials]."""
+    out: Any  # logits, then μ [n_actions]; or loc [n_dims]
+    work: Any  # work space [n_actions]
+    noise: Any  # noise of one frame [n_dims + 1]
+    given: Any  # actions written by torch modules, flat [trials * max(1, n_dims)]
+    given_log_prob: Any  # their log-probabilities [trials]
 
     @classmethod
     def of(cls, form: Form, trials: int) -> State:
@@ -103,10 +87,8 @@ class Log(NamedTuple):
     log_prob: Any
     mask: Any
     reward: Any
-    total: Any
-    """Sum of rewards up to this frame."""
-    ended: Any
-    """1: terminated, 2: truncated, 3: both, 0: the episode goes on."""
+    total: Any  # sum of rewards up to this frame
+    ended: Any  # 1: terminated, 2: truncated, 3: both, 0: the episode goes on
 
 
 def log_kinds(form: Form) -> Kinds:
