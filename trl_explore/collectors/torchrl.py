@@ -14,8 +14,7 @@ from torchrl.envs.transforms import Transform
 from torchrl.envs.utils import set_exploration_type
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
-from trl_explore.collectors.columns import NEXT, ROOT
-from trl_explore.collectors.compiling import has_inverse
+from trl_explore.collectors.compiling import NEXT, ROOT, has_inverse
 from trl_explore.envs.make import own_transforms
 from trl_explore.numerics.streams import Stream, generator
 

@@ -41,6 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def check(arguments: argparse.Namespace) -> None:
+    """Refuse the arguments of runs of other programs without ``--from``."""
+    for name in ("column", "threshold", "window", "horizon", "pattern", "dry_run"):
+        if not arguments.source and getattr(arguments, name):
+            flag = f"--{name.replace('_', '-')}"
+            raise ResultsError(f"{flag}: only with --from, for runs of another program")
+
+
 def report(arguments: argparse.Namespace, out: Path) -> Path | None:
     """Print the runs that were found, and write the page; None if it is a dry run.
 

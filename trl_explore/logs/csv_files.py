@@ -109,6 +109,10 @@ def read_wandb(folder: Path) -> Iterator[Log]:
                 f"{file}: no column is named 'RUN - QUANTITY', as in a panel that W&B exports"
             )
         for run, names in runs.items():
+            mean = any(
+                f"{c}{end}" in columns and _differ(frame[c], frame[f"{c}{end}"])
+                for c in names.values() for end in ("__MIN", "__MAX")
+            )  # fmt: skip
             yield Log(
                 run,
                 list(names),
@@ -117,17 +121,26 @@ def read_wandb(folder: Path) -> Iterator[Log]:
                 ),
                 step,
                 episodes=EPISODES,
+                notes=["a mean of several values or runs: __MIN and __MAX differ"] if mean else (),
             )
+
+
+def _differ(a: Any, b: Any) -> bool:
+    x, y = numbers(a), numbers(b)
+    known = np.isfinite(x) & np.isfinite(y)
+    return not np.allclose(x[known], y[known], rtol=1e-6)
 
 
 USUAL = {
     "step": (
-        "step", "steps", "global_step", "timestep", "timesteps", "total_timesteps", "env_steps",
-        "frame", "frames", "iteration", "episode", "epoch",
+        "step", "steps", "global_step", "timestep", "timesteps", "time_step", "time_steps",
+        "total_timesteps", "num_timesteps", "total_steps", "env_steps", "num_env_steps",
+        "environment_steps", "frame", "frames", "iteration", "episode", "epoch",
     ),
     "score": (
-        "score", "return", "episode_return", "episodic_return", "ep_rew_mean", "ep_rew",
-        "episode_reward", "reward",
+        "score", "return", "returns", "episode_return", "episodic_return", "mean_return",
+        "average_return", "ep_rew_mean", "ep_rew", "episode_reward", "episode_reward_mean",
+        "mean_reward", "reward_mean", "average_reward", "total_reward", "reward", "rewards",
     ),
     "seed": ("seed", "random_seed"),
     "configuration": (
@@ -136,7 +149,7 @@ USUAL = {
     "environment": ("environment", "env", "env_id", "env_name", "task"),
     "run": ("run", "run_id", "trial"),
 }  # fmt: skip
-"""What a column can be -> its usual names."""
+"""What a column can be -> its usual names, as :func:`_usual` writes them."""
 
 
 def read_long(folder: Path, columns: Mapping[str, str] | None = None) -> Iterator[Log]:
@@ -161,19 +174,20 @@ def read_long(folder: Path, columns: Mapping[str, str] | None = None) -> Iterato
                 role: of[names[0]] if len(names) == 1 else ", ".join(f"{n}={of[n]}" for n in names)
                 for role, names in roles.items()
             }
-            words = [place_of(file, folder.parent if folder.is_file() else folder), *of.values()]
+            # Without a column of configurations, the path says which one it is.
+            place = place_of(file.with_suffix(""), folder.parent if folder.is_file() else folder)
             yield Log(
-                " ".join(words),
+                " ".join([place, *of.values()]) if "configuration" in facts else place,
                 [score],
                 lambda name, rows=rows, step=step: column_points(rows, step, name),
                 step,
-                facts={"configuration": file.stem} | facts,
+                facts=facts,
             )
 
 
 def _roles(file: Path, names: list[str], given: Mapping[str, str]) -> dict[str, list[str]]:
     """What each used column is -> its names."""
-    lower = {name.lower().strip(): name for name in reversed(names)}
+    lower = {_usual(name): name for name in reversed(names)}
     roles: dict[str, list[str]] = {}
     for role, usual in USUAL.items():
         wanted = [part.strip() for part in given[role].split(",")] if role in given else []
@@ -189,6 +203,15 @@ def _roles(file: Path, names: list[str], given: Mapping[str, str]) -> dict[str, 
                 f" {', '.join(names)}"
             )
     return roles
+
+
+def _usual(name: str) -> str:
+    """A name as the keys of ``USUAL`` are written.
+
+    >>> _usual(" Total Timesteps"), _usual("rollout/ep_rew_mean")
+    ('total_timesteps', 'ep_rew_mean')
+    """
+    return re.sub(r"[\s\-]+", "_", name.strip().lower().rsplit("/", 1)[-1])
 
 
 def _text(value: object) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -47,13 +48,10 @@ class Log:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """The scores of one run, by its steps.
+    """The scores of one run [n], all finite, by its steps, which do not decrease.
 
-    Attributes:
-        step: not decreasing [n].
-        score: finite [n].
-        notes: what was left out or changed, one phrase each.
-        ended_nan: whether the values after the last one were not finite.
+    ``notes`` say what was left out or changed; ``ended_nan``: whether the values after the last one
+    were not finite.
     """
 
     step: NDArray[np.float64]
@@ -183,17 +181,21 @@ def by_folder(files: Iterable[Path]) -> Iterator[tuple[Path, list[Path]]]:
 def read_csv(path: Path, *, skip: int = 0, header: bool = True) -> Any:
     """A CSV file of any program as a data frame; empty if it has no lines.
 
-    A line that was cut off, or that has too many fields, is left out. Only an empty field is
-    missing; ``nan`` is a value.
+    Fields are separated by what the first line has most of: commas, semicolons or tabs; with
+    semicolons, a comma may be the decimal point. A line that was cut off, or that has too many
+    fields, is left out. Only an empty field is missing; ``nan`` is a value.
 
     Raises:
         ResultsError: the file is not readable as CSV.
     """
     try:
+        with path.open(encoding="utf-8-sig", errors="replace") as lines:
+            first = next(islice(lines, skip, None), "")
+        separator = max(",;\t", key=first.count)
         return pd.read_csv(
-            path, skiprows=skip, header=0 if header else None, on_bad_lines="skip",
-            keep_default_na=False, na_values=[""], encoding="utf-8", encoding_errors="replace",
-            low_memory=False,
+            path, skiprows=skip, header=0 if header else None, on_bad_lines="skip", sep=separator,
+            decimal="," if separator == ";" else ".", keep_default_na=False, na_values=[""],
+            encoding="utf-8-sig", encoding_errors="replace", low_memory=False,
         )  # fmt: skip
     except pd.errors.EmptyDataError:
         return pd.DataFrame()

@@ -37,8 +37,6 @@ class Configuration:
     """The runs of one configuration [n].
 
     Attributes:
-        name: the name.
-        runs: the runs.
         keys: the seed of each run, or a key that no other run has.
         grid: steps from 0 to the horizon [m].
         curves: the smoothed scores on the grid [n, m].
@@ -46,8 +44,8 @@ class Configuration:
         passed: whether each run passed [n].
         cut: whether each run ended before the horizon without having passed [n].
         diverged: whether its values stopped being finite before the horizon [n].
-        final: final score [n]; NaN for runs that ended before the horizon.
-        area: area under the curve [n]; NaN likewise.
+        final, area: final score and area under the curve [n]; NaN for runs that ended before the
+            horizon.
     """
 
     name: str

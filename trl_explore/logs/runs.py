@@ -41,12 +41,9 @@ class Run:
 
     Attributes:
         place: where it was read.
-        configuration: name of the configuration.
         environment: its name; empty if unknown.
-        seed: the seed; None: unknown, so the run is not paired with others.
-        curve: its scores by step.
-        score: name of the quantity.
-        step: what a step is.
+        seed: None: unknown, so the run is not paired with others.
+        score, step: names of the quantity, and of what a step is.
         episodes: whether each score is that of one episode.
         notes: what was unusual or changed.
         used: whether it is analysed; if not, the last note says why.

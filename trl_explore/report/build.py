@@ -46,7 +46,6 @@ def build_report(
 
     Raises:
         ResultsError: there is nothing to report, or the study does not fit the jobs; one line.
-
     """
     evidence = gather(load(folders, say), study, say)
     figures = {}

@@ -203,8 +203,7 @@ class Parts:
     Attributes:
         quantity: a key of ``QUANTITIES``.
         n: the number of trials that all cells have in common.
-        reference: mean of softmax.
-        plain: mean of the strategy, uncorrected.
+        reference, plain: means of softmax, and of the strategy uncorrected.
         gap: plain − reference.
         assumed: share of the bias in the gap on the data of softmax; None if not run.
         corrected: share of the bias in the gap on the data of the strategy; None if not run.
@@ -246,8 +245,7 @@ class Decomposition:
 
     Attributes:
         environment: its name; unique if other settings differ.
-        strategy: label of the strategy.
-        name: its name in files.
+        strategy, name: of the strategy, for readers and in files.
         acting: cell -> the same weights with and without exploration; empty without evaluations.
         acting_share: share of the acting in the difference of the mean scores in training.
         parts: quantity -> its parts.

@@ -44,7 +44,7 @@ def summary_table(evidence: GroupEvidence) -> Table:
 
     columns = [
         Column("configuration", "configuration", lambda r: r["configuration"]),
-        Column("pass_rate", "passed", rate_cell(), True),
+        Column("pass_rate", group.did, rate_cell(), True),
         column("median", "median iterations", _count, "not reached"),
         column("restricted_mean", "mean iterations", _count),
         column("expected_running_time", "iterations per success", _count),
@@ -59,8 +59,8 @@ def summary_table(evidence: GroupEvidence) -> Table:
         columns.insert(8, column("learned_score_mean", "learned score", _score))
     if any(r["timed"] for r in records):
         columns.append(Column("seconds_mean", "seconds", _seconds, True))
-    return Table(f"{group.id}-configurations", f"{group.title}: configurations", columns, records,
-                 main=True)  # fmt: skip
+    title = f"{group.title}: configurations"
+    return Table(f"{group.id}-configurations", title, columns, records, main=True, kind="cards")
 
 
 def pair_records(
@@ -133,7 +133,7 @@ def comparison_table(
         title = f"{group.title}: pairs for the effect of {answered.question.of}"
         keys = "-".join(factor.key.lower() for factor in answered.question.factors)
         end = f"pairs-{re.sub(r'[^a-z0-9]+', '-', keys)}"
-    return Table(f"{group.id}-{end}", title, columns, records, main=True)
+    return Table(f"{group.id}-{end}", title, columns, records, main=True, kind="cards")
 
 
 def crossed_table(part: GroupEvidence) -> Table:

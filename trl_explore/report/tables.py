@@ -18,6 +18,8 @@ from trl_explore.statistics.estimates import Estimate
 Record = Mapping[str, Any]
 MOST = 6
 """Most names that a sentence lists."""
+FEW = 3
+"""Most values of one parameter that it lists."""
 
 
 @dataclass(frozen=True)
@@ -142,10 +144,15 @@ def listed(words: Sequence[str]) -> str:
 def some(words: Sequence[str]) -> str:
     """Words as a list; of more than ``MOST`` different ones, the first and a count.
 
-    >>> some([str(k) for k in range(9)])
-    '0, 1, 2, 3, 4, 5 and 3 more'
+    Values of one parameter are named by the first and the last of them.
+
+    >>> some([f"{k}x" for k in range(9)]), some(["T = 1", "T = 2", "T = 4", "T = 8"])
+    ('0x, 1x, 2x, 3x, 4x, 5x and 3 more', 'T = 1, …, 8 (4 values)')
     """
     words = list(dict.fromkeys(words))
+    parts = [word.rpartition(" = ") for word in words]
+    if len(words) > FEW and len({(name, sign) for name, sign, _ in parts}) == 1 and parts[0][1]:
+        return f"{parts[0][0]} = {parts[0][2]}, …, {parts[-1][2]} ({len(words)} values)"
     more = [f"{len(words) - MOST} more"] * (len(words) > MOST)
     return listed([*words[:MOST], *more])
 

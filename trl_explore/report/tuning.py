@@ -25,13 +25,9 @@ Settings = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Tuned:
-    """One strategy: every setting that was tried, and the best of them on other seeds.
+    """One strategy: its settings with their trials on the tuning seed, and the picked one judged.
 
-    Attributes:
-        strategy: its name.
-        tried: every setting, with its trials on the tuning seed.
-        picked: the position of the best of them.
-        judged: the trials of the picked setting on the judging seed.
+    ``picked`` is the position of the best setting, ``judged`` its trials on the judging seed.
     """
 
     strategy: str
@@ -71,12 +67,7 @@ def build_page(
 ) -> Path:
     """Write the page; return its path.
 
-    Args:
-        tuned: the strategies.
-        measure: in which they were tuned and are compared.
-        out: folder of the page.
-        tuning: seed on which settings were picked.
-        judging: seed on which the picked ones are compared.
+    The strategies were tuned and are compared in one measure, on a seed each.
     """
     labels = {t.judged.name: strategy_label(t.strategy) for t in tuned}
     compared = compare_all([t.judged for t in tuned], measure)

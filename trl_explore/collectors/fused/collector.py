@@ -21,8 +21,8 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
-from trl_explore.collectors.columns import Columns
 from trl_explore.collectors.compiling import (
+    Columns,
     NotCompilableError,
     check_mixture,
     check_weights,

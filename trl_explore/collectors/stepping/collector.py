@@ -14,19 +14,19 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
-from trl_explore.collectors.columns import Columns, grown
 from trl_explore.collectors.compiling import (
+    Columns,
     NotCompilableError,
     check_mixture,
     check_weights,
+    grown,
     has_mask,
     mixture_array,
     names,
 )
 from trl_explore.collectors.networks import Network, arrays, gaussian_of, network_of
 from trl_explore.collectors.stepping.acting import Form
-from trl_explore.collectors.stepping.modules import Modules
-from trl_explore.collectors.stepping.transforms import Transformed
+from trl_explore.collectors.stepping.modules import Modules, Transformed
 from trl_explore.collectors.stepping.turn import (
     ACT,
     BEGIN,
