@@ -28,7 +28,7 @@ from trl_explore.config import (
     resolved,
 )
 from trl_explore.config.building import STOPPING
-from trl_explore.config.kinds import options
+from trl_explore.config.checking import options
 
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 FILES = [(group, path.stem) for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]

@@ -40,8 +40,8 @@ def search_in(folders: Iterable[Path]) -> None:
     wanted = [*dict.fromkeys([*(path.resolve() for path in folders), CONF])]
     if wanted != _folders:
         _folders[:] = wanted
-        load.cache_clear()
-        _defaults.cache_clear()
+        for cached in (load, group_defaults, _defaults):
+            cached.cache_clear()
 
 
 def files_of(group: str) -> dict[str, Path]:
@@ -60,7 +60,7 @@ def _defaults(items: tuple[tuple[str, str | None], ...]) -> DictConfig:
     choices = dict(items)
     defaults = load("train").copy()
     for group in GROUPS:
-        defaults[group] = group_defaults(group, choices.get(group))
+        defaults[group] = group_defaults(group, choices.get(group)).copy()
     for key, option in strategies_of(choices).items():
         OmegaConf.update(defaults, key, load(f"strategy/{option}"), merge=False)
     defaults = OmegaConf.merge(defaults, load(f"experiment/{choices.get('experiment')}"))
@@ -73,8 +73,9 @@ def _defaults(items: tuple[tuple[str, str | None], ...]) -> DictConfig:
     return defaults
 
 
+@cache
 def group_defaults(group: str, option: str | None) -> DictConfig:
-    """The values of a group: those that every option has in ``train.yaml``, then the file's own."""
+    """The values of a group: those of ``train.yaml``, then the file's own. Do not modify."""
     shared, own = load("train").get(group), load(f"{group}/{option}")
     merged = OmegaConf.merge(shared, own) if isinstance(shared, DictConfig) else own.copy()
     assert isinstance(merged, DictConfig)
