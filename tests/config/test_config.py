@@ -450,6 +450,7 @@ WRONG = [
     (("evaluate_every=-1",), "evaluate_every ... >= 0 ... -1"),
     (("evaluate_every=often",), "evaluate_every ... auto or an integer ... 'often'"),
     (("evaluate_every=2.5",), "evaluate_every ... 2.5"),
+    (("evaluate_episodes=3", "evaluate_every=0"), "evaluate_episodes=3 ... evaluate_every ... 0"),
     (("evaluate_episodes=0",), "evaluate_episodes ... >= 1 ... 0"),
     (("keep_weights=10",), "keep_weights ... list ... [0,10,50] ... 10"),
     (("keep_weights=[5,11]", "max_iterations=10"), "keep_weights ... <= 10 ... 11"),

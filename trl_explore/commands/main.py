@@ -56,7 +56,12 @@ def main(words: Sequence[str] | None = None) -> int:
         signals.leave_on_signals()
     sys.argv = [f"trl-explore {name}", *arguments]
     try:
-        return import_module(f"trl_explore.commands.{name}").main()
+        status = import_module(f"trl_explore.commands.{name}").main()
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:  # the reader, such as "| head", has closed the pipe
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + 13
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130

@@ -129,6 +129,11 @@ def check_values(config: DictConfig) -> None:
         raise ConfigError(first_line(error)) from None
     if isinstance(every, str) and every != "auto":
         raise ConfigError(f"evaluate_every must be auto or an integer >= 0, got {every!r}")
+    if every == 0 and config.evaluate_episodes != load("train").evaluate_episodes:
+        raise ConfigError(
+            f"evaluate_episodes={config.evaluate_episodes} needs evaluations: evaluate_every "
+            "must be auto or an integer >= 1, got 0"
+        )
     if config.evaluate_policy not in POLICIES:
         raise ConfigError(
             f"evaluate_policy must be one of {', '.join(POLICIES)}, got {config.evaluate_policy!r}"

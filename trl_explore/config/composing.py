@@ -135,7 +135,7 @@ class RecordedJob:
         """
         config, row = self.config.copy(), trial - self.config.first_trial
         if config.stop_on in ("training", "never"):
-            config.evaluate_every = 0
+            config.evaluate_every, config.evaluate_episodes = 0, 1
         return build_trainer(config, slice(row, row + 1))
 
 
