@@ -26,7 +26,7 @@ COMMANDS = {
     "verify": "run finished jobs again and compare the results",
 }
 LABORATORY = {
-    "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas",
+    "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas", "rich",
     "safetensors", "scipy", "yaml",
 }  # fmt: skip
 """Modules that the commands need in addition to the core; the extra ``lab`` installs them."""

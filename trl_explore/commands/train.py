@@ -95,11 +95,11 @@ def end_interrupted(folder: Path, error: KeyboardInterrupt) -> None:
 
 def begin_worker() -> None:
     """Print only whole lines, because this process shares the terminal with others."""
-    from trl_explore.jobs.console import Progress
+    from trl_explore.jobs.console import Bar
 
     if configuration.current_choices().get("hydra/launcher") == "joblib":
         signals.end_with_parent()
-    Progress.quiet = True
+    Bar.quiet = True
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(line_buffering=True)
