@@ -649,8 +649,13 @@ def test_what_the_grammar_cannot_read_is_shown_with_its_quotes(run_many, tmp_pat
 
 def test_a_tilde_is_the_home_of_the_user(run_many, tmp_path):
     home = f"import os; os.environ['HOME'] = {str(tmp_path / 'home')!r}"
-    (ran,) = run_many([home, ["output_dir='~/results'", *TINY]], tmp_path)
+    ran, nobody = run_many(
+        [home, ["output_dir='~/results'", *TINY], ["output_dir='~no_such_user/x'", *TINY]], tmp_path
+    )
     assert ran.returncode == 0, ran.stderr
+    assert complaints(nobody) == [
+        "error: output_dir=~no_such_user/x: the user of this ~ has no home folder"
+    ]
     assert [path.name for path in tmp_path.iterdir()] == ["home"]
 
 

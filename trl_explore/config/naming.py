@@ -46,7 +46,10 @@ def _sweep_folder(*, _root_: DictConfig) -> str:
     output = str(_root_.output_dir or "").strip()
     if not output:
         raise ConfigError("output_dir must be the name of a folder, got an empty value")
-    expanded = Path(output).expanduser() if output.startswith("~") else Path(output)
+    try:
+        expanded = Path(output).expanduser() if output.startswith("~") else Path(output)
+    except RuntimeError:
+        raise ConfigError(f"output_dir={output}: the user of this ~ has no home folder") from None
     here = OmegaConf.select(_root_, "hydra.runtime.cwd", throw_on_missing=False) or ""
     # Absolute, because a node of Ray works in another folder than the command.
     return str(Path(here, expanded, _choices(_root_).get("experiment") or "train"))
