@@ -11,8 +11,6 @@ import pytest
 import torch
 from gymnasium import spaces
 from tensordict.nn import TensorDictSequential
-from torchrl.data import Binary, Composite
-from torchrl.envs import Transform
 from torchrl.envs.utils import ExplorationType
 
 from tests.collectors.test_agreement import assert_same
@@ -20,7 +18,6 @@ from trl_explore.collectors import (
     FusedCollector,
     NotCompilableError,
     TorchRLCollector,
-    compiling,
 )
 from trl_explore.collectors.networks import Network, arrays, compile_network, network_of
 from trl_explore.envs import make_env
@@ -148,22 +145,27 @@ class Ring(gym.Env):
 
     SIZE = 10
 
-    def __init__(self) -> None:
+    def __init__(self, masked: bool = True) -> None:
+        self.masked = masked
         self.action_space = spaces.Discrete(4)
         self.observation_space = spaces.Box(0, np.inf, (2,), np.float32)
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         self.place = int(self.SIZE * self.np_random.random())
-        return self.observe(), {}
+        return self.observe(), self.info()
 
     def step(self, action):
-        assert allowed(self.place)[action], "a forbidden action was taken"
+        assert not self.masked or allowed(self.place)[action], "a forbidden action was taken"
         self.place = (self.place + action + 1) % self.SIZE
-        return self.observe(), float(action), bool(self.np_random.random() < 0.1), False, {}
+        over = bool(self.np_random.random() < 0.1)
+        return self.observe(), float(action), over, False, self.info()
 
     def observe(self):
         return np.array([self.place, 1], dtype=np.float32)
+
+    def info(self):
+        return {"action_mask": np.array(allowed(self.place))} if self.masked else {}
 
 
 def allowed(place: int) -> list[bool]:
@@ -199,33 +201,12 @@ def ring(env: Ring) -> Kernel:
     return Kernel(*functions, (Ring.SIZE,), state_size=1, n_features=2, n_actions=4, mask=ring_mask)
 
 
-class RingMask(Transform):
-    """Writes "action_mask"."""
-
-    def __init__(self) -> None:
-        super().__init__(in_keys=["observation"], out_keys=["action_mask"])
-
-    def _apply_transform(self, observation):
-        masks = torch.tensor([allowed(place) for place in range(Ring.SIZE)])
-        return masks[observation[..., 0].long()]
-
-    def _reset(self, tensordict, tensordict_reset):
-        return self._call(tensordict_reset)
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        shape = torch.Size([*observation_spec.shape, 4])
-        observation_spec["action_mask"] = Binary(4, shape=shape, dtype=torch.bool)
-        return observation_spec
-
-
 @pytest.fixture
-def ring_env(monkeypatch):
-    monkeypatch.setattr(compiling, "TRANSFORMS", (*compiling.TRANSFORMS, RingMask))
+def ring_env():
     gym.register("Ring-v0", entry_point=Ring, max_episode_steps=40)
 
     def make(trials=40, masked=True):
-        env = make_env("Ring-v0", trials=trials, seed=4)
-        return env.append_transform(RingMask()) if masked else env
+        return make_env("Ring-v0", trials=trials, seed=4, kwargs={"masked": masked})
 
     yield make
     gym.registry.pop("Ring-v0")

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import numpy as np
 import pytest
 import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
-from torchrl.envs import RewardScaling
+from torchrl.envs import RewardScaling, Transform
 from torchrl.envs.utils import ExplorationType
 
 from tests.collectors.test_agreement import assert_same
-from tests.collectors.test_networks import POLICIES, Ring, allowed, move, ring_env  # noqa: F401
+from tests.collectors.test_networks import POLICIES, move, ring_env  # noqa: F401
+from tests.envs.test_probing import SERVED
 from trl_explore.collectors import (
     NotCompilableError,
     SteppingCollector,
@@ -20,6 +22,7 @@ from trl_explore.collectors import (
     auto_collector,
 )
 from trl_explore.envs import make_env
+from trl_explore.envs.copies import EnvError
 from trl_explore.policies import GaussianLinearPolicy, GaussianMLPPolicy, LinearPolicy
 from trl_explore.strategies import (
     CountBonus,
@@ -137,21 +140,9 @@ def test_several_episodes_per_update(strategy):
 
 
 @pytest.mark.parametrize("strategy", [Softmax, Outside])
-def test_masks(ring_env, strategy, monkeypatch):  # noqa: F811
+def test_masks(ring_env, strategy):  # noqa: F811
     """The environment returns the masks in ``info``."""
-
-    def reset(self, *, seed=None, options=None):
-        observation, info = original_reset(self, seed=seed, options=options)
-        return observation, {**info, "action_mask": np.array(allowed(self.place))}
-
-    def step(self, action):
-        *outputs, info = original_step(self, action)
-        return *outputs, {**info, "action_mask": np.array(allowed(self.place))}
-
-    original_reset, original_step = Ring.reset, Ring.step
-    monkeypatch.setattr(Ring, "reset", reset)
-    monkeypatch.setattr(Ring, "step", step)
-    make = partial(ring_env, trials=10, masked=False)
+    make = partial(ring_env, trials=10)
     check(make, LinearPolicy, strategy, compiled=strategy is Softmax)
     data = pair(make, LinearPolicy, strategy)[0].collect().frames
     assert data["action_mask"].gather(1, data["action"].unsqueeze(-1)).all()
@@ -185,12 +176,52 @@ def test_in_several_processes():
     check({**CARTPOLE, "workers": 2}, LinearPolicy, Softmax)
 
 
+@pytest.mark.parametrize("name", SERVED)
+def test_transforms(name):
+    """Their state is per trial; the rewards of the score are not transformed."""
+    make = lambda: make_env(  # noqa: E731
+        **CARTPOLE, transforms=[RewardScaling(0.5, 0.3), SERVED[name]()]
+    )
+    check(make, LinearPolicy, Softmax)
+
+
+@pytest.mark.parametrize(
+    ("env", "policy", "strategy"),
+    [
+        ({"id": "Taxi-v4", "trials": 3, "max_steps": 20}, LinearPolicy, Outside),
+        (PENDULUM, GaussianLinearPolicy, Gaussian),
+    ],
+)
+def test_transforms_with_masks_and_with_continuous_actions(env, policy, strategy):
+    stack = SERVED["CatFrames"]
+    make = lambda: make_env(**env, transforms=[stack()])  # noqa: E731
+    check(make, policy, strategy, compiled=strategy is Gaussian)
+
+
+@pytest.mark.parametrize("kind", [SteppingCollector, TorchRLCollector])
+def test_a_transform_that_makes_nan_is_named_with_its_place(kind):
+    env = make_env(**CARTPOLE, transforms=[RewardScaling(0.0, math.inf)])
+    collector = kind(env, TensorDictSequential(LinearPolicy(env), Softmax()))
+    place = r"transforms that make reward\[0\] = inf in episode 0 of trial 2$"
+    with pytest.raises(EnvError, match=place):
+        collector.collect()
+
+
 def test_what_it_does_not_serve_is_refused(caplog):
-    env = make_env(**CARTPOLE)
-    env.append_transform(RewardScaling(0.0, 2.0))
+    class Other(Transform):
+        def _inv_call(self, tensordict):
+            return tensordict.set("action", 1 - tensordict["action"])
+
+    env = make_env(**CARTPOLE, transforms=[Other(in_keys=[], out_keys=[])])
     both = TensorDictSequential(LinearPolicy(env), Softmax())
-    with pytest.raises(NotCompilableError, match="the transform RewardScaling"):
+    with pytest.raises(NotCompilableError, match="Other changes what the environment gets"):
         SteppingCollector(env, both)
+    sent = []
+    collector = TorchRLCollector(env, both)
+    advance = collector.lanes.advance
+    collector.lanes.advance = lambda lanes, actions: (sent.append(actions), advance(lanes, actions))
+    drawn = collector.collect(np.arange(6) == 0).frames["action"]
+    assert (1 - drawn).tolist() == np.concatenate(sent).tolist()
     reader = TensorDictModule(torch.nn.Identity(), in_keys=[("next", "reward")], out_keys=["bonus"])
     env = make_env(**CARTPOLE)
     both = TensorDictSequential(LinearPolicy(env), reader, Softmax())

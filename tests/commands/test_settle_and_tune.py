@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import subprocess
 import sys
 
@@ -20,7 +21,8 @@ SWEEP = [
     "evaluate_every=0", "episodes=false",
 ]  # fmt: skip
 TUNE = [
-    "tune", "--trials", "2", "--judge", "6", "--lr", "0.01,0.1", "strategy=argmax,epsilon_greedy",
+    "train", "experiment=tuned", "trials=2", "--judge", "6", "--lr", "0.01,0.1",
+    "strategy=argmax,epsilon_greedy",
     "strategy.epsilon=0.2,0.4", "max_iterations=6", "score_window=3", "score_threshold=15",
     "evaluate_every=0",
 ]  # fmt: skip
@@ -31,22 +33,27 @@ def ran(tmp_path_factory):
     """The folder, what each call printed, and the errors."""
     folder = tmp_path_factory.mktemp("settle")
     sweep = [*SWEEP, f"output_dir={folder}"]
+    study = folder / "study.yaml"
+    study.write_text(f"configurations: [{{sweep: [{', '.join(map(repr, SWEEP))}]}}]\n"
+                     "until: settled\nbudget: 20\nmeasures: [score]\nlevel: 0.9\n")  # fmt: skip
     calls = [
         ["settle", "--first", "6", "--most", "9", *sweep],
-        ["settle", "--first", "6", "--most", "9", *sweep],
+        ["train", "-m", *sweep, "until=settled", "trials=6", "budget=9"],
         ["settle", "--first", "6", "--most", "12", *sweep],
         ["settle", *sweep, "trials=3"],
         ["settle", "strategy=softmax", "max_iterations=2", f"output_dir={folder / 'one'}"],
         [*TUNE, f"output_dir={folder / 'tuned'}"],
         [*TUNE, f"output_dir={folder / 'tuned'}", "optimizer.lr=1"],
         ["tune", "strategy=none", f"output_dir={folder / 'tuned'}"],
+        ["train", *sweep, "until=soon"],
+        ["report", f"{study}"],
     ]
     run = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", PROGRAM.format(calls=calls)],
         capture_output=True, text=True, check=False, timeout=600,
     )  # fmt: skip
     statuses = [line for line in run.stdout.splitlines() if line.startswith("status")]
-    assert statuses == [f"status {n}" for n in (0, 0, 1, 1, 1, 0, 1, 1)], run.stderr
+    assert statuses == [f"status {n}" for n in (0, 0, 1, 1, 1, 0, 1, 1, 1, 0)], run.stderr
     errors = [line for line in run.stderr.splitlines() if line.startswith("error: ")]
     return folder, run.stdout.split("status "), errors
 
@@ -78,11 +85,21 @@ def test_tune_judges_the_best_setting_on_another_seed(ran):
     assert "each tuned" in page
 
 
+def test_a_study_runs_its_sweeps_until_they_are_settled(ran):
+    folder, *_ = ran
+    plan = json.loads((folder / "study" / "runs" / "train" / "settle.json").read_text())
+    assert (plan["looks"], plan["measure"], plan["level"]) == ([20], "score", 0.9)
+    page = (folder / "study" / "report" / "index.html").read_text()
+    assert "Trials were added until the comparisons were decided (until=settled)" in page
+    assert "(all in train/settle.csv)" in page
+
+
 def test_errors_are_one_line(ran):
     *_, errors = ran
     expected = [
         "settle.json plans looks=[6, 9], not [6, 9, 12]", "trials=3: settle chooses it",
         "the sweep has only one", "optimizer.lr=1: tune chooses it", "strategy=none: one of argmax",
+        "until=soon: settled is possible",
     ]  # fmt: skip
     assert len(errors) == len(expected)
     assert all(text in error for text, error in zip(expected, errors, strict=True))

@@ -218,6 +218,32 @@ def test_another_action_space_in_another_trial(odd, monkeypatch):
         play(odd)
 
 
+def test_other_observations_in_another_trial(odd, monkeypatch):
+    def build(self):
+        self.resets = 0
+        sizes.append(3 + len(sizes) // 2)
+        self.observation_space = spaces.Box(-1, 1, (sizes[-1],))
+
+    sizes: list[int] = []
+    monkeypatch.setattr(Odd, "__init__", build)
+    with pytest.raises(EnvError, match=r"observations of 4 numbers in one trial and of 3 in anoth"):
+        play(odd)
+
+
+def test_a_copy_that_cannot_be_built_is_placed(odd, monkeypatch):
+    def build(self):
+        self.resets = 0
+        built.append(self)
+        if len(built) > 2:  # one copy is a probe
+            raise RuntimeError("no more licences")
+
+    built: list[Odd] = []
+    monkeypatch.setattr(Odd, "__init__", build)
+    line = r"'Odd-v0' .*RuntimeError: no more licences, when it was built for trial 7$"
+    with pytest.raises(EnvError, match=line):
+        play(odd)
+
+
 def test_ctrl_c_is_no_error_of_the_environment(odd, monkeypatch):
     def interrupt():
         raise KeyboardInterrupt

@@ -148,6 +148,25 @@ def test_refused(name):
     assert "\n" not in str(raised.value)
 
 
+class Resets(envs.Transform):
+    """Adds the number of resets, of all trials, to the observation."""
+
+    count = 0
+
+    def _reset(self, tensordict, tensordict_reset):
+        self.count += 1
+        return self._call(tensordict_reset)
+
+    def _call(self, next_tensordict):
+        return next_tensordict.set("observation", next_tensordict["observation"] + self.count)
+
+
+def test_state_that_mixes_trials_from_their_second_episode_on_is_found():
+    """No episode of Pendulum ends by itself while it is probed."""
+    with pytest.raises(ValueError, match="Resets mixes trials"):
+        check_transforms(lambda: [Resets()], partial(make_env, "Pendulum-v1"))
+
+
 def test_what_is_no_transform():
     with pytest.raises(ValueError, match=r"dict is not a torchrl\.envs"):
         check_transforms(lambda: [{}])  # pyright: ignore

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trl_explore.logs.curve import Curve, clean
+from trl_explore.logs.log import Curve, clean
 
 NAN, INF = np.nan, np.inf
 

@@ -5,10 +5,11 @@ import pytest
 from scipy import stats
 
 from trl_explore.jobs.columns import ResultsError
-from trl_explore.logs.curve import Curve, clean
+from trl_explore.logs.log import Curve, clean
 from trl_explore.logs.measures import profile, seeds_text, tasks
 from trl_explore.logs.runs import Run
 from trl_explore.statistics.comparisons import compare_pairs
+from trl_explore.statistics.survival import kaplan_meier
 
 
 def run(configuration, seed, step, score, *, environment="E", episodes=False, used=True):
@@ -52,7 +53,7 @@ def test_a_run_that_was_cut_off_is_censored_and_one_that_diverged_never_passes()
     assert a.times().values.tolist() == [510] * 4 + [1000, 100]
     assert "no final score and no area (a: 3)" in task.notes[0]
     # Of 7 runs, 1 passed at 100; 1 of the other 6 was censored at 300; 4 of 5 passed at 510.
-    np.testing.assert_allclose(a.survival().at([100, 510]), [6 / 7, 6 / 7 / 5])
+    np.testing.assert_allclose(kaplan_meier(a.time, a.passed).at([100, 510]), [6 / 7, 6 / 7 / 5])
 
 
 def test_comparisons_are_paired_by_seed():

@@ -32,6 +32,13 @@ from trl_explore.logs.naming import Identity, identify, identify_by, labels
         ("multirun/2024-05-01/10-22-33/0", ["multirun"], "", None),
         ("PPO_CartPole-v1_4a3b2_00001_1_lr=0.001,seed=3_2024-01-01_10-00-00",
          ["PPO, lr=0.001"], "CartPole-v1", 3),
+        ("PPO_CartPole-v0_0_seed=1_2019-05-01_10-00-00abcd12", ["PPO"], "CartPole-v0", 1),
+        ("PPO-CartPole-v1-lr1e-3-seed-2", ["PPO-lr1e-3"], "CartPole-v1", 2),
+        ("sac-MiniGrid-Empty-5x5-v0-seed3", ["sac"], "MiniGrid-Empty-5x5-v0", 3),
+        ("dqn_highway-v0", ["dqn"], "highway-v0", None),
+        ("ppo_s1_20240101-101010", ["ppo"], "", 1),
+        ("ppo, seed: 3", ["ppo"], "", 3),
+        ("ppo (seed 3)", ["ppo"], "", 3),
         ("tau2_seeds", ["tau2_seeds"], "", None),
     ],
 )  # fmt: skip

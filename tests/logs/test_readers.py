@@ -185,6 +185,39 @@ def test_a_long_csv(tmp_path):
         read_runs("csv", [tmp_path], columns=columns | {"score": "missing"})
 
 
+ODD = (
+    "\ufeffAlgorithm;Random-Seed;Total Timesteps;Episode Reward Mean\nppo;1;10;1,5\nppo;1;20;2,5\n"
+)
+
+
+def test_csv_files_of_other_habits(tmp_path):
+    """Semicolons, decimal commas, a byte order mark, titles with spaces; tabs."""
+    (tmp_path / "odd.csv").write_text(ODD, encoding="utf-8")
+    (run,), _ = read_runs("csv", [tmp_path / "odd.csv"])
+    assert (run.configuration, run.seed, run.curve.score.tolist()) == ("ppo", 1, [1.5, 2.5])
+    (tmp_path / "odd.csv").write_text("steps\trollout/ep_rew_mean\n1\t-2.5\n", encoding="utf-8")
+    (run,), _ = read_runs("csv", [tmp_path / "odd.csv"])
+    assert run.curve.score.tolist() == [-2.5]
+
+
+def test_without_a_column_the_path_says_which_configuration_and_seed_it_is(tmp_path):
+    for place in ("ppo/seed1", "ppo/seed2", "dqn/seed1"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / "log.csv").write_text("step,reward\n1,2\n")
+    runs, _ = read_runs("csv", [tmp_path])
+    assert [(r.configuration, r.seed) for r in runs] == [("dqn", 1), ("ppo", 1), ("ppo", 2)]
+
+
+def test_a_grouped_wandb_panel_has_means_of_runs(tmp_path):
+    name = "algo: ppo - episodic_return"
+    (tmp_path / "panel.csv").write_text(
+        f'"Step","{name}","{name}__MIN","{name}__MAX"\n10,1.5,1.0,2.0\n20,2.5,2.0,3.0\n'
+    )
+    (run,), _ = read_runs("wandb", [tmp_path])
+    assert run.configuration == "algo: ppo"
+    assert "several values or runs" in run.notes[0]
+
+
 @pytest.mark.parametrize("kind", READERS)
 def test_no_runs(kind, tmp_path):
     with pytest.raises(ResultsError, match=f"no runs in .*: --from {kind} reads"):

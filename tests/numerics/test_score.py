@@ -145,7 +145,7 @@ def test_passing_over_zeros_changes_no_bit(sparse, dtype, monkeypatch):
         state = torch.randint(16, (600,), generator=torch.Generator().manual_seed(1))
         given[0] = torch.nn.functional.one_hot(state, 16).to(dtype)
     results = []
-    for kernel in (score.score_dense, score.score_sparse):
+    for kernel in map(score.score_many, (False, True)):
         monkeypatch.setattr(score, "score_kernel", lambda *_, kernel=kernel: kernel)
         results.append(value_and_gradient(linear_softmax_score, *given))
     for dense, passed_over in zip(*results, strict=True):
@@ -155,10 +155,10 @@ def test_passing_over_zeros_changes_no_bit(sparse, dtype, monkeypatch):
 
 def test_which_kernel_serves():
     one_hot, dense = torch.eye(16).numpy(), torch.ones(3, 16).numpy()
-    assert score.score_kernel((5, 4, 16), one_hot) is score.score_sparse
-    assert score.score_kernel((5, 4, 16), dense) is score.score_dense
-    assert score.score_kernel((5, 4, 4), one_hot[:, :4]) is score.score_dense
-    assert score.score_kernel((5, 4, 16), dense[:0]) is score.score_dense
+    assert score.score_kernel((5, 4, 16), one_hot) is score.score_many(True)
+    assert score.score_kernel((5, 4, 16), dense) is score.score_many(False)
+    assert score.score_kernel((5, 4, 4), one_hot[:, :4]) is score.score_many(False)
+    assert score.score_kernel((5, 4, 16), dense[:0]) is score.score_many(False)
 
 
 @pytest.mark.parametrize(("action", "trial"), [(-1, 0), (9, 0), (0, -1), (0, 4)])

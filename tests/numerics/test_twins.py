@@ -17,8 +17,7 @@ import trl_explore.numerics.compiled
 from trl_explore.numerics import TWINS, dispatch
 from trl_explore.numerics.compiled.arrays import WIDTH, columns, dot
 from trl_explore.numerics.compiled.elementary import cos32, cos_sin, exp32, log1p32, log32, sin32
-from trl_explore.numerics.compiled.normal import ndtri
-from trl_explore.numerics.compiled.philox import STATE_SIZE, begin, random
+from trl_explore.numerics.compiled.philox import STATE_SIZE, begin, ndtri, random
 from trl_explore.numerics.densities import categorical_log_prob
 from trl_explore.numerics.layers import ACTIVATIONS, activate, lane_linear
 from trl_explore.numerics.returns import return_to_go
@@ -174,7 +173,7 @@ def compiled_functions():
                 yield f"{module.name}.{name}", python
 
 
-MAKERS = {"arrays.columns", "arrays.dot", "score.score_two"}
+MAKERS = {"arrays.columns", "arrays.dot", "score.score_many", "score.score_two"}
 """Compiled when they are called, or into their caller: found by their names only."""
 
 

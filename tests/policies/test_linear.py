@@ -8,7 +8,6 @@ from trl_explore.envs import make_env
 from trl_explore.policies import (
     LaneLinear,
     LinearPolicy,
-    glorot_uniform,
     initial_weights,
     n_actions,
 )
@@ -32,7 +31,7 @@ def test_sizes_come_from_the_specs(env):
 
 def test_policy_has_the_weights_of_its_trials(env):
     policy = LinearPolicy(env, seed=5, first_trial=11)
-    assert torch.equal(policy.weight, glorot_uniform(30, 2, 4, seed=5, first_trial=11))
+    assert torch.equal(policy.weight, initial_weights([4, 2], 30, seed=5, first_trial=11)[0])
     assert policy.weight.requires_grad
 
 

@@ -13,6 +13,7 @@ from trl_explore.report.build import build_report
 from trl_explore.report.curves import Heights
 from trl_explore.report.decomposition import Run, crossings, decompose
 from trl_explore.report.figures import draw_why
+from trl_explore.report.study import StudyFile
 from trl_explore.report.why import decomposition_tables, headline
 from trl_explore.statistics.outcomes import judged
 
@@ -55,7 +56,7 @@ def test_the_cells_of_a_strategy_are_found_in_any_experiment(runs):
     assert found["ε-greedy"].cells == {
         "reference": runs[0], "plain": runs[1], "corrected": runs[2], "assumed": runs[3],
     }  # fmt: skip
-    assert found["argmax"].assumed is None
+    assert "assumed" not in found["argmax"].cells
 
 
 def test_other_agents_and_other_rules_are_no_cells(runs, make):
@@ -151,8 +152,10 @@ def test_the_headline_says_what_comes_out(runs):
     assert re.search(r"90 % \[\d+, \d+\] of the 300 iterations that ε-greedy needs more", bias)
     assert "(344 against 44.0)" in bias
     assert re.search(r"0 % \[.*\] of the 401 iterations that argmax needs more", bias)
-    assert re.search(r"nothing clear of decaying ε-greedy, .* \(1\.25 \[", bias)
-    assert re.search(r"ε-greedy does not differ significantly \(30\.0 \[", data)
+    assert re.search(r"no share can be .* decaying ε-greedy, .* \(1\.25 \[.* too small\.", bias)
+    assert re.search(
+        r"ε-greedy and decaying ε-greedy do not differ significantly from softmax", data
+    )
     assert re.search(r"argmax needs 401 \[\d.*\] iterations more than softmax", data)
     assert headline([]) == ()
 
@@ -197,7 +200,8 @@ def test_the_report_shows_both_measures_and_their_parts(tmp_path):
     from tests.report.conftest import write_crossing
 
     sweep = write_crossing(tmp_path / "corrections")
-    text = build_report([sweep], tmp_path / "out")[0].read_text(encoding="utf-8")
+    page, _ = build_report([sweep], tmp_path / "out", StudyFile(level=0.88))
+    text = page.read_text(encoding="utf-8")
     section = text[text.index('<section id="why-section">') :]
     section = section[: section.index("</section>")]
     assert section.index('id="figure-why-acting-1"') < section.index('id="why-parts"')
@@ -214,3 +218,8 @@ def test_the_report_shows_both_measures_and_their_parts(tmp_path):
         )
     assert float(row["learned_restricted_mean"]) == pytest.approx(310, abs=6)
     assert float(row["learned_score_mean"]) == pytest.approx(319.5)
+    # The level reaches every caption, sentence and table; 0.88 has no Bonferroni level of 0.95.
+    texts = [p.read_text(encoding="utf-8") for p in (tmp_path / "out").rglob("*.md")]
+    for each in (re.sub(r"<(svg|style)\b.*?</\1>", "", text, flags=re.S), *texts):
+        assert not re.search(r"95(\.0)? ?%|0\.95", each)
+    assert text.count("88 % interval") > 5

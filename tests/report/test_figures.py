@@ -11,7 +11,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
 from trl_explore.report.curves import Curve
-from trl_explore.report.figures import differences, learning, maps, power, survival, trials
+from trl_explore.report.figures import by_parameter, differences, learning, maps, survival, trials
 from trl_explore.report.figures.by_parameter import plot_epsilon
 from trl_explore.report.figures.panels import plot_curves
 from trl_explore.report.style import KNOWN, MAP, OPTIONS, PAPER, contrast, visual_language
@@ -182,8 +182,11 @@ def test_forest_fills_only_significant_differences(ax):
 
 
 def test_power_line_is_the_detectable_difference(ax):
-    pairs = [power.Pair("a vs. b", 100.0, 50.0, True), power.Pair("a vs. c", 100.0, 5.0, False)]
-    power.plot_power(ax, pairs, trials=30, level=0.95)
+    pairs = [
+        by_parameter.Pair("a vs. b", 100.0, 50.0, True),
+        by_parameter.Pair("a vs. c", 100.0, 5.0, False),
+    ]
+    by_parameter.plot_power(ax, pairs, trials=30, level=0.95)
     n, y = ax.lines[0].get_data()
     assert np.allclose(y, detectable_difference(100.0, n))
     # 32 trials find half a standard deviation (see the docstring of trials_for_difference).

@@ -82,9 +82,8 @@ def test_one_and_no_configuration(jobs):
 
 def test_nobody_passes(make):
     jobs = [make([1000] * 5), make([1000] * 5, strategy="argmax")]
-    first, second, _ = everything(jobs)
+    first, _ = everything(jobs)
     assert re.fullmatch("None of the 2 configurations [^.]*.", first)
-    assert "softmax and argmax never" in second
 
 
 def test_configurations_that_cannot_be_compared(jobs):

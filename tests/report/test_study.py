@@ -104,6 +104,8 @@ def test_a_study_asks_its_own_questions_and_checks_its_own_claims(study, tmp_pat
         ("{strategy: softmax, correction: per_step}]", "vdbe]", ["compare[1]", "'vdbe' fits 0"]),
         ("score.softmax_passes_consistently", "nothing", ["claims[4]", "score.random_never"]),
         ("claims:", "claims: {", ["not readable as YAML"]),
+        ("level:", "until: soon\nlevel:", ["until='soon'", "settled is possible"]),
+        ("level:", "until: settled\nlevel:", ["until='settled'", "a sweep among"]),
     ],
 )
 def test_a_wrong_value_is_one_line_with_key_value_and_what_is_allowed(study, old, new, words):
@@ -114,6 +116,13 @@ def test_a_wrong_value_is_one_line_with_key_value_and_what_is_allowed(study, old
     assert "\n" not in text
     for word in ("mine.yaml", *words):
         assert word in text
+
+
+def test_that_what_was_learned_is_unknown_is_told(study):
+    study.write_text(STUDY.replace("[passed]", "[learned]"), encoding="utf-8")
+    (group,) = ask(study).groups
+    assert "What was learned is unknown (" in group.group.notes[-1]
+    assert "the results are those of passing" in group.group.notes[-1]
 
 
 def test_factors_that_change_together_can_be_asked_for_as_one(study):
@@ -127,7 +136,7 @@ def test_factors_that_change_together_can_be_asked_for_as_one(study):
 
 
 def test_every_claim_of_a_study_has_a_definition(study):
-    from trl_explore.report.own_claims import own_claims
+    from trl_explore.report.selecting import own_claims
 
     asked = read_study(study)
     assert isinstance(asked.claims, tuple)

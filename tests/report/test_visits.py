@@ -38,7 +38,7 @@ def test_a_map_per_iteration(job):
     with visual_language():
         figure = VISITS.draw(group)
     maps = [ax for ax in figure.axes if ax.images]
-    assert [ax.get_title() for ax in maps] == ["1", "4", "8", "20"]
+    assert [ax.get_title() for ax in maps] == ["iteration 1", "4", "8", "20"]
     last = maps[-1].images[0].get_array()
     assert last is not None
     share = np.ma.filled(np.ma.masked_invalid(last), 0)

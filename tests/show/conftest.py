@@ -38,8 +38,7 @@ class Map(NamedTuple):
 
 @pytest.fixture(scope="session")
 def made_map(tmp_path_factory) -> Map:
-    from trl_explore.show.cells import read_cells
-    from trl_explore.show.page import page
+    from trl_explore.show.map import page, read_cells
 
     jobs = tmp_path_factory.mktemp("map")
     with pytest.MonkeyPatch.context() as patch:

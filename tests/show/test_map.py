@@ -12,7 +12,7 @@ import pytest
 
 from trl_explore.commands import map as command
 from trl_explore.jobs.reading import read_job
-from trl_explore.show.cells import DRAWINGS, point_of, read_cells
+from trl_explore.show.map import DRAWINGS, point_of, read_cells
 from trl_explore.statistics.estimates import pass_rate
 
 

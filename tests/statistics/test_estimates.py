@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import math
 
 import numpy as np
@@ -6,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from trl_explore.statistics.estimates import Estimate, exact_rate, pass_rate
+from trl_explore.statistics.estimates import Estimate, combination, exact_rate, pass_rate, quantile
 
 
 def test_questions_about_an_interval():
@@ -89,3 +91,32 @@ def test_each_exact_bound_errs_in_at_most_one_of_forty(n, p):
     low, high = np.array([(exact_rate(int(i), n).low, exact_rate(int(i), n).high) for i in k]).T
     assert chance[low > p].sum() <= 0.025
     assert chance[high < p].sum() <= 0.025
+
+
+def test_a_quantile_by_hand():
+    # B(7; 16, ¾) = .0075 ≤ .025 < B(8) = .0271, and 1 - B(15) = .0100 ≤ .025 < 1 - B(14) = .0635.
+    e = quantile(np.arange(1.0, 17.0), 0.75)
+    assert (e.low, e.high) == (8.0, 16.0)
+
+
+def test_too_few_trials_leave_an_end_open():
+    e = quantile([1.0, 2.0, 3.0], 0.9)
+    assert e.high == np.inf
+    assert combination([1.0, 2.0, 3.0], [(0.9, 1.0), (0.5, -2.0), (0.1, 1.0)]).high == np.inf
+
+
+@pytest.mark.parametrize("n", [30, 100, 1000])
+def test_quantile_skewness_holds_its_level(n):
+    # Symmetric, heavy-tailed: the bootstrap of the moment skewness is wrong in most samples here.
+    rng, skew = np.random.default_rng(n), [(0.9, 1.0), (0.5, -2.0), (0.1, 1.0)]
+    wrong = 0
+    for _ in range(150):
+        e = combination(rng.standard_t(2, size=n), skew)
+        wrong += e.above(0.0) or e.below(0.0)
+    assert wrong / 150 <= 0.05
+
+
+def test_a_skewed_sample_is_found_skewed():
+    x = np.random.default_rng(0).exponential(size=1000)
+    assert combination(x, [(0.9, 1.0), (0.5, -2.0), (0.1, 1.0)]).above(0.0)
+    assert combination(-x, [(0.9, 1.0), (0.5, -2.0), (0.1, 1.0)]).below(0.0)

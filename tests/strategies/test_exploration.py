@@ -17,6 +17,7 @@ from torchrl.modules import QValueActor, SafeSequential
 from trl_explore.objectives.corrections import AsIf
 from trl_explore.strategies import (
     Argmax,
+    BaseStrategy,
     EpsilonGreedy,
     EpsilonSoftmax,
     EpsilonZGreedy,
@@ -24,8 +25,11 @@ from trl_explore.strategies import (
     MaxBoltzmann,
     Random,
     Softmax,
+    Strategy,
 )
+from trl_explore.strategies.discrete import Options
 from trl_explore.strategies.schedules import Linear
+from trl_explore.strategies.strategy import Keys
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 SPECS = {"discrete": Categorical(4), "one_hot": OneHot(4), "several": MultiCategorical([4])}
@@ -170,10 +174,12 @@ def test_another_strategy_gives_one_hot_actions_their_probability():
 # What could move to TorchRL
 
 
-@pytest.mark.parametrize("kind", [EpsilonGreedy, Softmax, Linear])
-def test_signatures_are_explicit(kind):
-    kinds = {p.kind for p in inspect.signature(kind).parameters.values()}
-    assert not kinds & {inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL}
+def test_the_options_of_a_strategy_are_the_arguments_of_the_base_class():
+    keys = inspect.signature(BaseStrategy).parameters.keys() - {"in_keys"}
+    assert Keys.__annotations__.keys() == keys
+    own = inspect.signature(Strategy).parameters.keys() - {"keys"}
+    assert Options.__annotations__.keys() == own | keys
+    assert inspect.signature(EpsilonGreedy).parameters["options"].annotation == "Unpack[Options]"
 
 
 def test_epsilon_greedy_and_softmax_need_nothing_but_their_room():
@@ -184,15 +190,14 @@ for name in ("trl_explore", "trl_explore.strategies"):  # without what their __i
     sys.modules[name] = types.ModuleType(name)
 sys.modules["trl_explore"].__path__ = [sys.argv[1]]
 sys.modules["trl_explore.strategies"].__path__ = [sys.argv[1] + "/strategies"]
-importlib.import_module("trl_explore.strategies.epsilon_greedy")
-importlib.import_module("trl_explore.strategies.softmax")
+importlib.import_module("trl_explore.strategies.family")
 print(*sorted(name for name in sys.modules if name.startswith("trl_explore.")))
 """
     path = inspect.getfile(EpsilonGreedy).rsplit("/", 2)[0]
     done = subprocess.run(
         [sys.executable, "-c", program, path], capture_output=True, text=True, check=True
     )
-    own = "discrete epsilon_greedy frames mixture parameters schedules softmax strategy workers"
+    own = "discrete family frames mixture parameters schedules strategy workers"
     assert done.stdout.split() == [
         "trl_explore.checks", "trl_explore.strategies",
         *(f"trl_explore.strategies.{name}" for name in own.split()),

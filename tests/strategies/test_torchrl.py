@@ -423,6 +423,25 @@ def test_a_new_episode_of_one_lane_leaves_the_others_noise_alone():
     assert changes > 0
 
 
+def test_the_first_frame_of_a_group_begins_the_episode_of_its_lane():
+    target = TensorDictModule(torch.nn.Linear(4, 3), [("agents", "x")], [("agents", "logits")])
+    strategy = ParameterNoise(
+        logits_key=("agents", "logits"),
+        action_key=("agents", "action"),
+        is_init_key=("agents", "is_init"),
+    )
+    strategy.bind(target, 1)
+    seen = []
+    for first in (True, False, True):
+        is_init = torch.zeros(2, 5, 1, dtype=torch.bool)
+        is_init[1] = first
+        agents = TensorDict({"x": torch.randn(2, 5, 4), "is_init": is_init}, [2, 5])
+        TensorDictSequential(target, strategy)(TensorDict({"agents": agents}, [2]))
+        seen.append(strategy._xi.clone())
+    same = [(a == b).all(-1).tolist() for a, b in pairwise(seen)]
+    assert same == [[True, True], [True, False]]
+
+
 def test_repetitions_end_with_the_episode_in_torchrls_collector():
     torch.manual_seed(0)
     env = GymEnv("CartPole-v1", categorical_action_encoding=True)

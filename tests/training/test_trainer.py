@@ -14,7 +14,7 @@ from torch.optim import Adam
 from trl_explore.config import CONF
 from trl_explore.config.checking import options
 from trl_explore.objectives import ReinforceLoss
-from trl_explore.policies import glorot_uniform
+from trl_explore.policies import initial_weights
 from trl_explore.strategies import Argmax, DecayingEpsilonGreedy, EpsilonGreedy, Softmax
 from trl_explore.training.optimizers import LaneAdam, LaneOptimizer, torch_optimizer
 
@@ -123,7 +123,7 @@ def test_different_seeds_share_no_trial(train):
     runs = [train(Softmax(), 4, seed=seed, max_iterations=3) for seed in range(4)]
     rows = torch.cat([weights(run) for run in runs]).flatten(1)
     assert len(rows.unique(dim=0)) == 16
-    starts = torch.cat([glorot_uniform(4, 2, 4, seed=seed) for seed in range(4)]).flatten(1)
+    starts = torch.cat([initial_weights([4, 2], 4, seed=seed)[0] for seed in range(4)]).flatten(1)
     assert len(starts.unique(dim=0)) == 16
 
 
@@ -316,5 +316,5 @@ def test_on_iteration_and_seconds(train):
 
 def test_the_weights_move_by_the_optimiser_alone(train):
     trainer = train(Softmax(), 1, max_iterations=1, optimizer=partial(LaneAdam, lr=1e-3))
-    moved = weights(trainer) - glorot_uniform(1, 2, 4)
+    moved = weights(trainer) - initial_weights([4, 2], 1)[0]
     torch.testing.assert_close(moved.abs(), torch.full_like(moved, 1e-3), rtol=1e-2, atol=0)

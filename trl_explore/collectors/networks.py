@@ -26,7 +26,7 @@ from trl_explore.policies import (
     MLPPolicy,
     TabularPolicy,
 )
-from trl_explore.policies.policy import has_hooks
+from trl_explore.policies.layers import has_hooks
 
 CACHE_BYTES = 1 << 15
 """The weights of a group of episodes should stay in the processor's L1 cache."""

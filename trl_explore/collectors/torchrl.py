@@ -14,7 +14,8 @@ from torchrl.envs.transforms import Transform
 from torchrl.envs.utils import set_exploration_type
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
-from trl_explore.collectors.columns import NEXT, ROOT
+from trl_explore.collectors.compiling import NEXT, ROOT, has_inverse
+from trl_explore.envs.make import own_transforms
 from trl_explore.numerics.streams import Stream, generator
 
 NOISE_STEPS = 128
@@ -48,6 +49,7 @@ class TorchRLCollector(EpisodeCollector):
         frames: list[TensorDictBase] = []
         score = np.zeros(self.trials)
         running: list[NDArray[np.bool_]] = []
+        own = own_transforms(self.env)
         reset = TensorDict({"_reset": torch.from_numpy(active).unsqueeze(-1)}, [self.trials])
         with set_exploration_type(self.exploration_type):
             td = self.env.reset(reset)
@@ -64,6 +66,9 @@ class TorchRLCollector(EpisodeCollector):
                 score += lanes.signals.reward
                 frames.append(self._frame(td))
                 td = self.env._step_mdp(td)
+                if own:
+                    made = td.get("observation"), frames[-1].get(("next", "reward"))
+                    lanes.check_transformed(*(x.numpy() for x in made))
         mask = np.stack(running, 1)
         length = mask.sum(1)[active]
         data = cast(TensorDictBase, TensorDict.stack(frames, 1))
@@ -93,7 +98,7 @@ class TorchRLCollector(EpisodeCollector):
 
     @cached_property
     def _has_inverse(self) -> bool:
-        return any(transform.in_keys_inv for transform in self._transforms)
+        return any(map(has_inverse, self._transforms))
 
     def _frame(self, td: TensorDictBase) -> TensorDictBase:
         source = {key: td.get(key) for key in ROOT if key in td}

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.console import text_table
+from trl_explore.logs.csv_files import USUAL
 from trl_explore.logs.measures import tasks
 from trl_explore.logs.runs import READERS, read_runs
-from trl_explore.logs.table import USUAL
 
 if TYPE_CHECKING:
     from trl_explore.report.tables import Column
@@ -39,6 +39,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--pattern", metavar="REGEX",
         help="finds (?P<configuration>...), (?P<environment>...) and (?P<seed>...) in paths",
     )  # fmt: skip
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """Refuse the arguments of runs of other programs without ``--from``."""
+    for name in ("column", "threshold", "window", "horizon", "pattern", "dry_run"):
+        if not arguments.source and getattr(arguments, name):
+            flag = f"--{name.replace('_', '-')}"
+            raise ResultsError(f"{flag}: only with --from, for runs of another program")
 
 
 def report(arguments: argparse.Namespace, out: Path) -> Path | None:

@@ -52,6 +52,11 @@ def main(words: Sequence[str] | None = None) -> int:
     if name not in COMMANDS:
         print(f"error: unknown command {name!r}; available: {', '.join(COMMANDS)}", file=sys.stderr)
         return 1
+    try:
+        name, arguments = _asked(name, arguments)
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
     if name in ("train", "settle", "tune"):
         signals.leave_on_signals()
     sys.argv = [f"trl-explore {name}", *arguments]
@@ -72,6 +77,25 @@ def main(words: Sequence[str] | None = None) -> int:
             f"error: {error.name} is not installed: pip install 'trl_explore[lab]'", file=sys.stderr
         )
         return 1
+
+
+def _asked(name: str, words: Sequence[str]) -> tuple[str, list[str]]:
+    """The command that a key of ``train`` asks for: ``until=settled``, ``experiment=tuned``."""
+    keys = {w.partition("=")[0]: w.partition("=")[2] for w in words if w[:1] != "-" and "=" in w}
+    if name != "train" or not ("until" in keys or keys.get("experiment") == "tuned"):
+        return name, list(words)
+    if keys.get("until", "settled") != "settled":
+        raise ValueError(f"until={keys['until']}: settled is possible")
+    if "until" in keys and keys.get("experiment") == "tuned":
+        raise ValueError("experiment=tuned: not possible with until=settled")
+    if "until" in keys:
+        name, flags = "settle", {"trials": "--first", "budget": "--most"}
+    else:
+        name, flags = "tune", {"trials": "--trials"}
+    rest = [w for w in words if w.partition("=")[0] not in (*flags, "until")]
+    rest = [w for w in rest if w not in ("experiment=tuned", "-m", "--multirun")]
+    given = [word for key, flag in flags.items() if key in keys for word in (flag, keys[key])]
+    return name, [*given, *rest]
 
 
 def open_streams() -> None:

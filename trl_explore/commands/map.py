@@ -100,8 +100,7 @@ def main() -> int:
         trials = arguments.trials or (1000 if arguments.full else 50)
         if not arguments.page and (status := train_cells(arguments.jobs, trials, arguments.full)):
             return status
-        from trl_explore.show.cells import read_cells
-        from trl_explore.show.page import page
+        from trl_explore.show.map import page, read_cells
 
         found = read_cells(arguments.jobs, lambda text: print(text, file=sys.stderr))
         write_whole(out, page(found).encode())

@@ -32,7 +32,10 @@ def main() -> int:
     logs.add_arguments(parser)
     arguments = parser.parse_args()
     try:
+        logs.check(arguments)
         study, folders = _study(arguments.places)
+        if study is not None and arguments.source:
+            raise ResultsError(f"{study.path}: a study has no runs of other programs (--from)")
         first = folders[0] if folders else Path()
         path = study.path if study else None
         beside = path.with_suffix("") if path and not folders else first
@@ -82,6 +85,9 @@ def _run(study: StudyFile, words: Sequence[str]) -> Path:
     output = Path(given[0]) if given else folder / "runs"
     command = [sys.executable, "-c", PROGRAM, "train", "-m", *words]
     command += [] if given else [f"output_dir={output}"]
+    if study.budget is not None:
+        command += ["until=settled", f"budget={study.budget}", "--measure", study.measures[0]]
+        command += ["--level", str(study.level)]
     if subprocess.run(command, check=False, stdout=sys.stderr).returncode:
         raise ResultsError(f"{study.path}: sweep={list(words)}: trl-explore train failed")
     return output

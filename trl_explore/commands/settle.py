@@ -17,14 +17,13 @@ from omegaconf import OmegaConf
 
 from trl_explore.commands import train
 from trl_explore.config import ConfigError
-from trl_explore.jobs.sweeps import LOOKS
+from trl_explore.jobs.sweeps import LOOKS, VERDICTS
 from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import LEVEL, check_level
 from trl_explore.statistics.outcomes import Outcomes, judged
 from trl_explore.statistics.samples import Sample
 from trl_explore.statistics.sequential import Verdict, planned_looks, settle
 
-TABLE = "settle.csv"
 MEASURES: Mapping[str, Callable[[Outcomes], Sample]] = {
     "passed": lambda o: samples.iterations(judged(o, "passed")),
     "learned": lambda o: samples.iterations(judged(o, "learned")),
@@ -76,7 +75,7 @@ def _settle(arguments: argparse.Namespace) -> int:
         list(combinations(names, 2)), jobs.more, looks, level=arguments.level,
         margin=arguments.margin, on_look=partial(_show_look, looks),
     )  # fmt: skip
-    _report(jobs.sweep / TABLE, verdicts)
+    _report(jobs.sweep / VERDICTS, verdicts)
     used, most = sum(jobs.trials.values()), looks[-1] * len(names)
     still = sum(v.result == "open" for v in verdicts)
     print(f"{used:,} trials of at most {most:,} ({100 * (1 - used / most):.0f} % saved)"

@@ -53,7 +53,7 @@ def film(
         when = f"trial {episode.trial} after {episode.iteration} iterations"
         when += " (its last)" if episode.stopped else ""
         panels.append(Panel(title, when, episode))
-        line = f"{title}: {when}, score {episode.score:g} in {len(episode.action)} steps"
+        line = f"{title}: {when}, score {round(episode.score, 1):g} in {len(episode.action)} steps"
         if episode.exploratory is not None and not greedy:
             line += f", {episode.exploratory.sum()} of them exploratory"
         lines.append(line)

@@ -20,12 +20,12 @@ __all__ = ["LaneVectorEnv", "lane_env", "make_env"]
 
 NAMESPACE = "trl_explore"
 TASKS = {
-    "DeepSea-v0": ("deep_sea:DeepSea", None, 0.9),
+    "DeepSea-v0": ("bsuite:DeepSea", None, 0.9),
     "RiverSwim-v0": ("tables:RiverSwim", 20, 2.5),
     "TwoRooms-v0": ("tables:TwoRooms", 100, 0.9),
-    "SparseMountainCar-v0": ("mountain_car:SparseMountainCar", 1000, 0.9),
-    "SwingUp-v0": ("swing_up:SwingUp", 200, 50.0),
-    "Catch-v0": ("catch:Catch", None, 0.9),
+    "SparseMountainCar-v0": ("classic_control:SparseMountainCar", 1000, 0.9),
+    "SwingUp-v0": ("bsuite:SwingUp", 200, 50.0),
+    "Catch-v0": ("bsuite:Catch", None, 0.9),
 }
 """Name -> class, in a module of ``envs.kernels`` with its kernel; time limit (None: it ends by
 itself); and the mean score that counts as solved."""

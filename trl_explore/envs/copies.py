@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, flatdim
 from gymnasium.wrappers import OrderEnforcing, TimeLimit
 from numpy.typing import NDArray
 
@@ -124,10 +124,16 @@ class Copies:
             self._add(first)
 
     def _add(self, env: gym.Env) -> None:
-        if self.envs and env.action_space != self.envs[0].action_space:
+        here, size = env.action_space, flatdim(env.observation_space)
+        if self.envs and here != (first := self.envs[0].action_space):
             raise EnvError(
-                f"environment {self.id!r} has the action space {shown(env.action_space)} in one "
-                f"trial and {shown(self.envs[0].action_space)} in another"
+                f"environment {self.id!r} has the action space {shown(here)} in one "
+                f"trial and {shown(first)} in another"
+            )
+        if size != (n_features := self.signals.observation.shape[1]):
+            raise EnvError(
+                f"environment {self.id!r} has observations of {size} numbers in one trial "
+                f"and of {n_features} in another"
             )
         if not self.envs:
             space = env.observation_space
@@ -149,8 +155,13 @@ class Copies:
         stream: Stream,
     ) -> None:
         """Begin an episode in the copies ``rows`` [m], each with its trial's random stream."""
-        while len(self.envs) < len(self._rows):
-            self._add(self.make())
+        while (k := len(self.envs)) < len(self._rows):
+            try:
+                env = self.make()
+            except ValueError as error:
+                of = dict(zip(rows, trials, strict=True)).get(k, "another one")
+                raise EnvError(f"{error}, when it was built for trial {of}") from error
+            self._add(env)
         signals = self.signals
         for row, trial, episode in zip(rows, trials, episodes, strict=True):
             self._places[row] = trial, episode

@@ -218,7 +218,7 @@ class _FaultError(Exception):
 
 @torch.no_grad()
 def _play(env: TransformedEnv) -> list[TensorDictBase]:
-    """What an environment returns while its lanes are stepped with fixed actions."""
+    """What an environment returns for fixed actions, with a new episode of trial 0 on the way."""
     lanes = lane_env(env)
     steps = 0
 
@@ -250,6 +250,9 @@ def _play(env: TransformedEnv) -> list[TensorDictBase]:
             for name, end in ends.items():
                 if frame["next", name].flatten().tolist() != end.tolist():
                     raise _FaultError(f"changes {name}, which must stay the environment's own")
+            if t == TRANSFORM_STEPS // 2 and lanes.first_trial == 0:
+                again = torch.arange(lanes.num_envs).unsqueeze(-1) == 0
+                td = env.reset(td.set("_reset", again)).exclude("_reset")
     finally:
         env.close()
     return data

@@ -202,11 +202,7 @@ class LaneVectorEnv(VectorEnv):
         """
         # A sum of squares is fast, and not finite if one of them is not.
         if not isfinite(self._flat.dot(self._flat)):
-            observation = self.signals.observation
-            finite = np.isfinite(observation)
-            if not finite.all():
-                lane, i = (int(k[0]) for k in np.nonzero(~finite))
-                raise self._error(lane, f"returned observation[{i}] = {observation[lane, i]}")
+            self._check_finite(self.signals.observation, "returned observation")
         if self.has_masks and not (some := self.signals.mask.any(axis=1)).all():
             stuck = np.flatnonzero(~some & self.running)
             if len(stuck):
@@ -214,6 +210,22 @@ class LaneVectorEnv(VectorEnv):
                     int(stuck[0]), "returned an action mask that forbids every action"
                 )
             self.signals.mask[~some] = True
+
+    def check_transformed(self, observation: NDArray[Any], reward: NDArray[Any]) -> None:
+        """Reject what transforms have made of finite numbers, if it is not finite.
+
+        Raises:
+            EnvError: with environment, episode and trial.
+        """
+        self._check_finite(observation, "has transforms that make observation")
+        self._check_finite(reward.reshape(-1, 1), "has transforms that make reward")
+
+    def _check_finite(self, values: NDArray[Any], what: str) -> None:
+        """Reject values [num_envs, n] that are not finite."""
+        finite = np.isfinite(values)
+        if not finite.all():
+            lane, i = (int(k[0]) for k in np.nonzero(~finite))
+            raise self._error(lane, f"{what}[{i}] = {values[lane, i]}")
 
     def _error(self, lane: int, what: str) -> EnvError:
         trial, episode = self.first_trial + int(lane), int(self.episodes[lane]) - 1

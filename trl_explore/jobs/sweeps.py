@@ -18,8 +18,8 @@ from pathlib import Path
 from trl_explore.jobs.files import RUN, read_file, write_whole
 
 SWEEP, FAILED, MULTIRUN = "sweep.json", ".failed", "multirun.yaml"
-LOOKS = "settle.json"
-"""The plan of a sweep to which trials were added until its comparisons were decided."""
+LOOKS, VERDICTS = "settle.json", "settle.csv"
+"""The plan and the verdicts of a sweep to which trials were added until they were decided."""
 
 
 def begin_sweep(sweep: Path, jobs: Sequence[str]) -> None:

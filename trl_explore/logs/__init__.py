@@ -1,11 +1,10 @@
 """Runs that other programs wrote, read as curves of scores.
 
-``log``          a run as its files hold it, before a quantity is chosen
-``sb3``, ``torchrl``, ``tensorboard``, ``wandb``, ``rllib``, ``table``
+``log``          a run as its files hold it; its curve without restarts and duplicates
+``sb3``, ``tensorboard``, ``csv_files``
                  the readers, one for each kind of files
 ``naming``       which configuration, environment and seed a run has, from folders and columns
 ``runs``         the runs of any number of folders, with the same quantity of each
-``curve``        a curve without restarts, duplicates and values that are not finite
 ``measures``     the measures of the runs of one environment, and their comparison
 
 What only this program records (the behaviour policy, the learned score, visits) is not guessed.

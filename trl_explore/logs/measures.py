@@ -23,7 +23,6 @@ from trl_explore.statistics.comparisons import Measure
 from trl_explore.statistics.estimates import LEVEL, Estimate, pass_rate
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.samples import Kind, Sample
-from trl_explore.statistics.survival import SurvivalCurve, kaplan_meier
 
 GRID = 500
 """Points of the grid on which curves are averaged."""
@@ -38,8 +37,6 @@ class Configuration:
     """The runs of one configuration [n].
 
     Attributes:
-        name: the name.
-        runs: the runs.
         keys: the seed of each run, or a key that no other run has.
         grid: steps from 0 to the horizon [m].
         curves: the smoothed scores on the grid [n, m].
@@ -47,8 +44,8 @@ class Configuration:
         passed: whether each run passed [n].
         cut: whether each run ended before the horizon without having passed [n].
         diverged: whether its values stopped being finite before the horizon [n].
-        final: final score [n]; NaN for runs that ended before the horizon.
-        area: area under the curve [n]; NaN likewise.
+        final, area: final score and area under the curve [n]; NaN for runs that ended before the
+            horizon.
     """
 
     name: str
@@ -79,10 +76,6 @@ class Configuration:
         horizon = float(self.grid[-1])
         values = np.where(self.cut, np.nan, self.time)
         return self.sample(values, [Kind(~self.passed, horizon, horizon)])
-
-    def survival(self, *, level: float = LEVEL) -> SurvivalCurve:
-        """The Kaplan-Meier curve of the steps to passing; a run cut off is censored there."""
-        return kaplan_meier(self.time, self.passed, level=level)
 
     def outcomes(self) -> Outcomes:
         """The runs as outcomes, which is what the comparisons take."""

@@ -15,29 +15,30 @@ from dataclasses import dataclass, field
 
 from trl_explore.jobs.columns import ResultsError
 
-SEED = re.compile(r"(?:^|[_.\- ])(?:random_?seed|seed|s)[_=\-]?(\d{1,19})(?=$|[_.\- ,])", re.I)
-ENVIRONMENT = re.compile(r"(?:[A-Za-z][A-Za-z0-9]*[-/:])*[A-Za-z][A-Za-z0-9]*-v\d+")
+SEED = re.compile(
+    r"(?:^|[_.\- (,])(?:random_?seed|seed|s)(?:[_=\-]|:? )?(\d{1,19})(?=$|[_.\- ,)])", re.I
+)
+ENVIRONMENT = re.compile(
+    r"(?:[A-Za-z]\w*[/:]|ALE-)?(?:[A-Z](?=[A-Z0-9]*[a-z])[A-Za-z0-9]*(?:-[A-Z0-9][A-Za-z0-9]*)*|[a-z]"
+    r"[A-Za-z0-9]*)-v\d+"
+)
+"""``CartPole-v1``, ``ALE-Pong-v5``, ``MiniGrid-Empty-5x5-v0``, ``highway-v0``; not ``PPO-``."""
 ENVIRONMENT_KEYS = ("env", "env_id", "env_name", "environment", "env.id", "env.name",
                     "env.env_name")  # fmt: skip
-NUMBER = re.compile(r"(?:^|[_\- ])(?:run|trial|exp)?[_\-]?(\d{1,4})$", re.I)
+NUMBER = re.compile(r"(?:^|(?<!\de)[_\- ])(?:run|trial|exp)?[_\-]?(\d{1,4})$", re.I)
 TIME = re.compile(
-    r"(?:^|[_\-. ])(?:\d{4}-\d\d-\d\d(?:[_T -]\d\d[-:]\d\d(?:[-:]\d\d)?)?|\d\d-\d\d-\d\d|1\d{9})"
+    r"(?:^|[_\-. ])(?:\d{4}-\d\d-\d\d(?:[_T -]\d\d[-:]\d\d(?:[-:]\d\d\w{0,8})?)?|\d\d-\d\d-\d\d"
+    r"|20\d{6}(?:[-_T]?\d{6})?|1\d{9})"
     r"(?=$|[_\-. ])"
 )
 """Dates and times, which say nothing about a configuration."""
-RAY = re.compile(r"_[0-9a-f]{5,8}_\d{5}(?:_\d+)?(?:_|$)")
-"""The identifier of a trial of Ray Tune, between the names and the parameters."""
+RAY = re.compile(r"_(?:[0-9a-f]{5,8}_\d{5}(?:_\d+)?(?:_|$)|\d{1,5}_(?=\w+=))")
+"""The identifier, or number, of a trial of Ray Tune, between the names and the parameters."""
 
 
 @dataclass
 class Identity:
-    """Whose run it is.
-
-    Attributes:
-        parts: what describes the configuration, from the outermost folder inwards.
-        environment: its name, or empty if unknown.
-        seed: the random seed; None: unknown.
-    """
+    """Whose run it is: parts that describe its configuration, outermost folder first; its seed."""
 
     parts: list[str] = field(default_factory=list)
     environment: str = ""
@@ -122,7 +123,7 @@ def _words(text: str, found: Identity) -> str:
             found.take_seed(after[1:])
             after = ""
         text = f"{before.rstrip('_- ')}{after}"
-    return NUMBER.sub("", text).strip("_-. ")
+    return NUMBER.sub("", text).strip("_-., ()")
 
 
 def labels(identities: Sequence[Identity]) -> list[str]:

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from trl_explore.jobs.columns import ResultsError
-from trl_explore.logs import rllib, sb3, table, tensorboard, torchrl, wandb
-from trl_explore.logs.curve import Curve, clean
-from trl_explore.logs.log import Log
+from trl_explore.logs import csv_files as files
+from trl_explore.logs import sb3, tensorboard
+from trl_explore.logs.log import Curve, Log, clean
 from trl_explore.logs.naming import identify, identify_by, labels
 
 
@@ -26,12 +26,12 @@ class Reader(NamedTuple):
 
 READERS: Mapping[str, Reader] = {
     "sb3": Reader(sb3.read, sb3.SCORES, "monitor.csv or progress.csv"),
-    "torchrl": Reader(torchrl.read, torchrl.SCORES, "scalars/*.csv of CSVLogger"),
+    "torchrl": Reader(files.read_torchrl, files.TORCHRL_SCORES, "scalars/*.csv of CSVLogger"),
     "cleanrl": Reader(tensorboard.read, tensorboard.SCORES, "event files of TensorBoard"),
     "tensorboard": Reader(tensorboard.read, tensorboard.SCORES, "event files of TensorBoard"),
-    "wandb": Reader(wandb.read, wandb.SCORES, "CSV files exported from a panel"),
-    "rllib": Reader(rllib.read, rllib.SCORES, "progress.csv"),
-    "csv": Reader(table.read, (), "CSV files with one row for each point"),
+    "wandb": Reader(files.read_wandb, files.WANDB_SCORES, "CSV files exported from a panel"),
+    "rllib": Reader(files.read_rllib, files.RLLIB_SCORES, "progress.csv"),
+    "csv": Reader(files.read_long, (), "CSV files with one row for each point"),
 }
 
 
@@ -41,12 +41,9 @@ class Run:
 
     Attributes:
         place: where it was read.
-        configuration: name of the configuration.
         environment: its name; empty if unknown.
-        seed: the seed; None: unknown, so the run is not paired with others.
-        curve: its scores by step.
-        score: name of the quantity.
-        step: what a step is.
+        seed: None: unknown, so the run is not paired with others.
+        score, step: names of the quantity, and of what a step is.
         episodes: whether each score is that of one episode.
         notes: what was unusual or changed.
         used: whether it is analysed; if not, the last note says why.
@@ -85,7 +82,7 @@ def read_runs(
     columns, reader = columns or {}, READERS[kind]
     if kind != "csv" and (unknown := sorted(set(columns) - {"score"})):
         raise ResultsError(f"--column {unknown[0]}=...: only score is possible with --from {kind}")
-    read = partial(table.read, columns=columns) if kind == "csv" else reader.read
+    read = partial(files.read_long, columns=columns) if kind == "csv" else reader.read
     logs: list[Log] = []
     for folder in folders:
         if not folder.exists():

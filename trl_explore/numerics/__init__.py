@@ -67,8 +67,8 @@ TWINS = {
     "layers.tanh_backward": "layers.plain_activate",
     "layers.tanh_double": "layers.plain_activate",
     "layers.tanh_single": "layers.plain_activate",
-    "normal.ndtri": "torch.special.ndtri",
     "philox.begin": "streams.generator",
+    "philox.ndtri": "torch.special.ndtri",
     "philox.philox_block": "streams.generator",
     "philox.random": "streams.generator",
     "philox.to_unit": "streams.generator",
@@ -76,8 +76,7 @@ TWINS = {
     "returns.end_of_run": "returns.plain_return_to_go",
     "returns.returns": "returns.plain_return_to_go",
     "returns.run_returns": "returns.plain_return_to_go",
-    "score.score_dense": "score.plain_linear_softmax_score",
-    "score.score_sparse": "score.plain_linear_softmax_score",
+    "score.score_many": "score.plain_linear_softmax_score",
     "score.score_two": "score.plain_linear_softmax_score",
 }
 """Compiled function in ``numerics.compiled`` -> its plain twin in ``numerics`` or a library."""

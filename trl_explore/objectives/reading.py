@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any, Protocol
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor
 
 from trl_explore.objectives.episodes import Episodes, Layout
@@ -43,15 +43,14 @@ def read_episodes(
         ValueError: if an entry has a shape or a type that does not fit.
     """
     tensordict = _with_batch(tensordict, keys)
-    after: Any = read(tensordict, "next")
     batch = tensordict.batch_size
-    reward = read(after, keys.reward).detach()
+    reward = read(tensordict, unravel_key(("next", keys.reward))).detach()
     if reward.dtype not in (torch.float32, torch.float64):
         reward = reward.float()  # sums of integers truncate, those of half precision round
     agents = _agents(reward, keys.reward, batch)
     columns = torch.Size((*batch, agents)) if agents > 1 else batch
     reward = _shaped(reward, keys.reward, columns)
-    done = read(after, keys.done).bool()
+    done = read(tensordict, unravel_key(("next", keys.done))).bool()
     shared = agents > 1 and done.numel() == batch.numel()
     done = _shaped(done, keys.done, batch, agents) if shared else _shaped(done, keys.done, columns)
     trial = tensordict.get(keys.trial, None)
@@ -83,8 +82,7 @@ def _with_batch(tensordict: TensorDictBase, keys: Keys) -> TensorDictBase:
     """The data; without a batch size, as in a call with keywords, it is that of the reward."""
     if tensordict.batch_dims:
         return tensordict
-    after: Any = read(tensordict, "next")
-    shape = read(after, keys.reward).shape
+    shape = read(tensordict, unravel_key(("next", keys.reward))).shape
     tensordict = tensordict.copy()
     tensordict.batch_size = shape[:-1] if shape[-1:] == (1,) else shape  # pyright: ignore
     return tensordict if tensordict.batch_dims else tensordict.unsqueeze(0)

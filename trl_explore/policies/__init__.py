@@ -1,8 +1,15 @@
 """Policies: (observation, trial) -> logits, or loc and scale; each trial has its own parameters."""
 
 from trl_explore.policies.gaussian import GaussianLinearPolicy, GaussianMLPPolicy, LaneGaussian
-from trl_explore.policies.initial import INITS, glorot_uniform, initial_weights
-from trl_explore.policies.policy import LaneLinear, LaneMLP, n_actions, n_dims, n_features
+from trl_explore.policies.layers import (
+    INITS,
+    LaneLinear,
+    LaneMLP,
+    initial_weights,
+    n_actions,
+    n_dims,
+    n_features,
+)
 from trl_explore.policies.softmax import LinearPolicy, MLPPolicy, TabularPolicy
 
 __all__ = [
@@ -15,7 +22,6 @@ __all__ = [
     "LinearPolicy",
     "MLPPolicy",
     "TabularPolicy",
-    "glorot_uniform",
     "initial_weights",
     "n_actions",
     "n_dims",

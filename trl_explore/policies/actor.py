@@ -20,7 +20,7 @@ from torchrl.modules import IndependentNormal, MaskedCategorical, ProbabilisticA
 from trl_explore.checks import holds
 from trl_explore.numerics.densities import categorical_log_prob, gaussian_entropy, gaussian_log_prob
 from trl_explore.numerics.dispatch import transformed
-from trl_explore.policies.policy import LaneLinear, has_hooks
+from trl_explore.policies.layers import LaneLinear, has_hooks
 from trl_explore.policies.softmax import LinearPolicy
 
 

@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase
 
 from trl_explore.checks import check_flag, check_number
 from trl_explore.numerics.layers import lane_linear
-from trl_explore.policies.policy import LaneLinear, LaneMLP, n_dims, n_features
+from trl_explore.policies.layers import LaneLinear, LaneMLP, layer_sizes, n_dims
 
 LARGEST_LOG = 20.0
 """Log-scales are kept within ±20; beyond that, an action or density may not be finite."""
@@ -116,18 +116,16 @@ class GaussianMLPPolicy(TensorDictModule):
         seed: int = 0,
         first_trial: int = 0,
     ) -> None:
-        if isinstance(hidden, str) or not isinstance(hidden, Sequence):
-            raise ValueError(f"hidden must be a list of sizes such as [32, 32], got {hidden!r}")
         (trials,) = env.batch_size
         dims = n_dims(env)
         network = LaneMLP(
-            [n_features(env), *hidden, dims],
+            layer_sizes(env, hidden, dims),
             trials,
             activation,
             init,
             seed,
             first_trial,
-            bias=check_flag("bias", bias),
+            bias=bias,
             output_gain=output_gain,
         )
         dependent = check_flag("state_dependent_scale", state_dependent_scale)
@@ -143,38 +141,11 @@ class GaussianLinearPolicy(GaussianMLPPolicy):
 
     Args:
         env: the environment; its specs give the layer sizes, its batch size the number of trials.
-        bias: whether there is a b, initially 0.
-        init: the initial W, a name from ``initial_weights``.
-        output_gain: factor of the initial W.
-        initial_scale: the initial standard deviation > 0, one number or one per dimension.
-        state_dependent_scale: whether the scale depends on the observation, log-linearly.
-        streams: ``seed`` of the job and ``first_trial``, the trial index of row 0.
-
-    Raises:
-        ValueError: if the actions are not continuous, or an argument is out of range.
+        options: the other arguments of ``GaussianMLPPolicy``.
     """
 
-    def __init__(
-        self,
-        env: EnvBase,
-        *,
-        bias: bool = True,
-        init: str = "glorot_uniform",
-        output_gain: float = 1.0,
-        initial_scale: float | Sequence[float] = 1.0,
-        state_dependent_scale: bool = False,
-        **streams: Any,
-    ) -> None:
-        super().__init__(
-            env,
-            hidden=[],
-            bias=bias,
-            init=init,
-            output_gain=output_gain,
-            initial_scale=initial_scale,
-            state_dependent_scale=state_dependent_scale,
-            **streams,
-        )
+    def __init__(self, env: EnvBase, **options: Any) -> None:
+        super().__init__(env, hidden=[], **options)
 
 
 def _log_scale(initial_scale: float | Sequence[float], dims: int) -> Tensor:

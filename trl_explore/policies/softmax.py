@@ -10,11 +10,12 @@ from torch import nn
 from torchrl.envs import EnvBase
 
 from trl_explore.checks import settle
-from trl_explore.policies.initial import initial_weights
-from trl_explore.policies.policy import (
+from trl_explore.policies.layers import (
     LaneLinear,
     LaneMLP,
+    initial_weights,
     is_one_hot,
+    layer_sizes,
     n_actions,
     n_features,
     observation_space,
@@ -138,11 +139,9 @@ class MLPPolicy(TensorDictModule):
         seed: int = 0,
         first_trial: int = 0,
     ) -> None:
-        if isinstance(hidden, str) or not isinstance(hidden, Sequence):
-            raise ValueError(f"hidden must be a list of sizes such as [32, 32], got {hidden!r}")
         (trials,) = env.batch_size
         network = LaneMLP(
-            [n_features(env), *hidden, n_actions(env)],
+            layer_sizes(env, hidden, n_actions(env)),
             trials,
             activation,
             init,

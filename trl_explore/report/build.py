@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.report.claims import claims_table, why_tables
-from trl_explore.report.evidence import Evidence, GroupEvidence, gather
+from trl_explore.report.evidence import GroupEvidence, gather
 from trl_explore.report.figures import Picture, draw_all, draw_why
 from trl_explore.report.loading import Gap, Say, load, silent
 from trl_explore.report.methods import paragraph, references, settings_table
@@ -45,7 +46,6 @@ def build_report(
 
     Raises:
         ResultsError: there is nothing to report, or the study does not fit the jobs; one line.
-
     """
     evidence = gather(load(folders, say), study, say)
     figures = {}
@@ -66,11 +66,14 @@ def build_report(
         map=MAP if (out / MAP).is_file() else "",
     )
     say("page")
+    pictures: list[Picture] = [f for group in figures.values() for f in group]
+    tables = [
+        claims_table(evidence.checked), content.settings, content.jobs, content.gaps,
+        *content.parts, *content.why, *(t for part in content.tables.values() for t in part),
+    ]  # fmt: skip
+    texts = {METHODS: content.methods + "\n", REFERENCES: references(evidence)}
     html = page(content)
-    _clear(out)
-    _write_files(out, content, evidence)
-    _write(out / PAGE, html)
-    return out / PAGE, evidence.gaps
+    return write_page(out, html, [*pictures, *content.acting], tables, texts), evidence.gaps
 
 
 def _tables(part: GroupEvidence) -> list[Table]:
@@ -86,21 +89,28 @@ def _tables(part: GroupEvidence) -> list[Table]:
     return tables
 
 
-def _write_files(out: Path, content: Content, evidence: Evidence) -> None:
-    """Write figures, tables, methods and references."""
-    pictures: list[Picture] = [f for group in content.figures.values() for f in group]
-    for figure in [*pictures, *content.acting]:
+def write_page(
+    out: Path,
+    html: str,
+    figures: Sequence[Picture],
+    tables: Sequence[Table],
+    texts: Mapping[str, str] = MappingProxyType({}),
+) -> Path:
+    """Write a page with its figures, tables and further texts by name; return its path."""
+    _clear(out)
+    for figure in figures:
         _write(out / FIGURES / f"{figure.id}.svg", figure.svg)
         for kind in ("png", "pdf"):
-            path = _fresh(out / FIGURES / f"{figure.id}.{kind}")
-            path.write_bytes(getattr(figure, kind))
-    for table in [
-        claims_table(evidence.checked), content.settings, content.jobs, content.gaps,
-        *content.parts, *content.why, *(t for part in content.tables.values() for t in part),
-    ]:  # fmt: skip
-        _write_table(out / TABLES, table)
-    _write(out / METHODS, content.methods + "\n")
-    _write(out / REFERENCES, references(evidence))
+            _fresh(out / FIGURES / f"{figure.id}.{kind}").write_bytes(getattr(figure, kind))
+    for table in tables:
+        if table.records:
+            _write(out / TABLES / f"{table.id}.csv", table.to_csv())
+        if table.records and table.main:
+            _write(out / TABLES / f"{table.id}.tex", table.to_latex())
+            _write(out / TABLES / f"{table.id}.md", table.to_markdown())
+    for name, text in {**texts, PAGE: html}.items():
+        _write(out / name, text)
+    return out / PAGE
 
 
 def _clear(out: Path) -> None:
@@ -121,15 +131,6 @@ def _clear(out: Path) -> None:
             shutil.rmtree(out / name, ignore_errors=True)
     for name in (FIGURES, TABLES):
         (out / name).mkdir(parents=True, exist_ok=True)
-
-
-def _write_table(folder: Path, table: Table) -> None:
-    if not table.records:
-        return
-    _write(folder / f"{table.id}.csv", table.to_csv())
-    if table.main:
-        _write(folder / f"{table.id}.tex", table.to_latex())
-        _write(folder / f"{table.id}.md", table.to_markdown())
 
 
 def _write(path: Path, text: str) -> None:

@@ -48,12 +48,7 @@ def claims_table(
 ) -> Table:
     """One row per statement: verdict, evidence, and how many trials would settle it.
 
-    Args:
-        checked: statements with their findings.
-        id: id of the table.
-        title: title of the table.
-        said: title of the statement column.
-
+    ``said`` is the title of the statement column.
     """
     records = [
         {

@@ -47,13 +47,11 @@ class Traces:
 
     Attributes:
         learning: running score, mean over trials with the middle half.
-        diagnostics: quantity -> its curves, median over trials with the middle half; only
-            quantities that were recorded.
+        diagnostics: quantity that was recorded -> its curves, median with the middle half.
         evaluations: score in training and score of the greedy policy, means over trials.
         visits: where the trials of the first job have been, see ``read_visits``.
         heights: mean heights of the curves of every trial.
         gaps: what could not be read.
-
     """
 
     learning: dict[str, Curve] = field(default_factory=dict)
@@ -66,16 +64,15 @@ class Traces:
 
 @dataclass(frozen=True, eq=False)
 class Heights:
-    """Mean scores of every trial over its training, without and with exploration.
+    """Mean scores of every trial over its training, without and with exploration, each [n].
 
     Attributes:
-        keys: (seed, trial) of each trial [n].
-        learned: mean height of the learned curve [n]; a trial that stopped keeps its last value up
-            to the cap.
+        keys: (seed, trial) of each trial.
+        learned: mean height of the learned curve; a trial that stopped keeps its last value up to
+            the cap.
         evaluated: the same over those evaluations that have a training episode with the same
-            weights, up to the last of them [n].
-        behaved: mean height of the curve of these training episodes [n].
-
+            weights, up to the last of them.
+        behaved: mean height of the curve of these training episodes.
     """
 
     keys: Sequence[tuple[int, int]]
@@ -91,21 +88,20 @@ def running_means(
     window: int,
     at: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Mean of the last ``window`` rows of every trial, at given iterations.
+    """Mean of the last ``window`` rows (or all before) of every trial, at given iterations.
 
     Stopped trials keep their last mean. NaN values are ignored; the mean is NaN if there are no
     others.
 
     Args:
         trial: trial of each row [n].
-        iteration: iteration of each row [n], from 1.
-        values: value of each row [n].
-        window: number of rows; the mean is over fewer rows if fewer exist.
+        iteration: its iteration, from 1 [n].
+        values: its value [n].
+        window: number of rows.
         at: iterations [k], from 1; before a trial's first row, its first value counts.
 
     Returns:
         [k, n_trials], trials in ascending order.
-
     """
     order = np.lexsort((iteration, trial))
     iteration, values = iteration[order], values[order]
@@ -156,12 +152,9 @@ def read_traces(group: Group) -> Traces:
 
 
 class _Parts:
-    """The records of one configuration's jobs: one table [k, n_trials] per job.
+    """The records of one configuration's jobs, one table [k, n_trials] per job.
 
-    Args:
-        end: last iteration of the group.
-        window: number of episodes of the running score.
-
+    ``end`` is the last iteration of the group, ``window`` the episodes of the running score.
     """
 
     def __init__(self, end: int, window: int) -> None:

@@ -32,7 +32,6 @@ from trl_explore.statistics.samples import Sample, iterations, scores
 
 PLAIN, RATIO, AS_IF = "NoCorrection", "PerStep", "AsIf"
 REFERENCE = "softmax"
-CELLS = ("reference", "plain", "assumed", "corrected")
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,22 +91,13 @@ class Run:
 class Crossing:
     """A strategy beside softmax, each with a right and with a biased gradient.
 
-    ``cells`` has the runs by their names in ``statistics.decomposition``; the last two may be
-    missing.
+    ``cells`` has ``reference`` and ``plain``, and of ``assumed`` and ``corrected`` those that were
+    run; the names are those of ``statistics.decomposition``.
     """
 
     environment: str
     label: str
-    reference: Run
-    plain: Run
-    assumed: Run | None
-    corrected: Run | None
-
-    @property
-    def cells(self) -> dict[str, Run]:
-        """Name of the cell -> run."""
-        named = {name: getattr(self, name) for name in CELLS}
-        return {name: run for name, run in named.items() if run is not None}
+    cells: Mapping[str, Run]
 
 
 def runs_of(group: Group, heights: Mapping[str, Heights]) -> list[Run]:
@@ -133,13 +123,14 @@ def crossings(runs: Sequence[Run]) -> list[Crossing]:
             continue
         softmax = [run for run in mates if run.is_reference]
         right = [run for option in (PLAIN, RATIO) for run in softmax if run.option == option]
-        biased = [r for r in softmax if r.option == AS_IF and r.assumes == plain.strategy]
-        corrected = _first(mates, RATIO, plain)
-        if right and (biased or corrected is not None):
-            assumed = biased[0] if biased else None
-            place = places[_world(plain)]
-            label = _label(plain, mates)
-            found.append(Crossing(place, label, right[0], plain, assumed, corrected))
+        cells = {"reference": right[0] if right else None, "plain": plain} | {
+            "assumed": next((r for r in softmax if r.option == AS_IF
+                             and r.assumes == plain.strategy), None),
+            "corrected": _first(mates, RATIO, plain),
+        }  # fmt: skip
+        known = {name: run for name, run in cells.items() if run is not None}
+        if right and len(known) > 2:
+            found.append(Crossing(places[_world(plain)], _label(plain, mates), known))
     return found
 
 
@@ -195,13 +186,7 @@ NOT_ESTIMABLE = Estimate(np.nan, np.nan, np.nan)
 
 @dataclass(frozen=True)
 class Acting:
-    """The same weights with and without exploration; means over a trial's training.
-
-    Attributes:
-        behaved: the mean score with exploration.
-        learned: the mean score without.
-        handicap: learned − behaved.
-    """
+    """Mean scores of the same weights with and without exploration, and learned − behaved."""
 
     behaved: Estimate
     learned: Estimate
@@ -218,8 +203,7 @@ class Parts:
     Attributes:
         quantity: a key of ``QUANTITIES``.
         n: the number of trials that all cells have in common.
-        reference: mean of softmax.
-        plain: mean of the strategy, uncorrected.
+        reference, plain: means of softmax, and of the strategy uncorrected.
         gap: plain − reference.
         assumed: share of the bias in the gap on the data of softmax; None if not run.
         corrected: share of the bias in the gap on the data of the strategy; None if not run.
@@ -252,7 +236,7 @@ class Parts:
         """Whether interval and test show an effect of the data."""
         if self.data is None or self.p_data is None:
             return False
-        return self.p_data <= 1.0 - LEVEL and self.data.outside(0.0, 0.0)
+        return self.p_data <= 1.0 - self.data.level and self.data.outside(0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -261,8 +245,7 @@ class Decomposition:
 
     Attributes:
         environment: its name; unique if other settings differ.
-        strategy: label of the strategy.
-        name: its name in files.
+        strategy, name: of the strategy, for readers and in files.
         acting: cell -> the same weights with and without exploration; empty without evaluations.
         acting_share: share of the acting in the difference of the mean scores in training.
         parts: quantity -> its parts.
@@ -278,19 +261,19 @@ class Decomposition:
     passes: tuple[int, int, int] | None
 
 
-def decompose(runs: Sequence[Run]) -> list[Decomposition]:
+def decompose(runs: Sequence[Run], level: float = LEVEL) -> list[Decomposition]:
     """The decompositions of all strategies that the runs of a report allow, in their order."""
     found = []
     for c in crossings(runs):
-        parts = {q: p for q in QUANTITIES if (p := _parts(q, c)) is not None}
+        parts = {q: p for q in QUANTITIES if (p := _parts(q, c, level)) is not None}
         if parts:
             found.append(
                 Decomposition(
                     environment=c.environment,
                     strategy=c.label,
-                    name=c.plain.passed.strategy,
-                    acting={k: a for k, run in c.cells.items() if (a := _acting(run))},
-                    acting_share=_acting_share(c),
+                    name=c.cells["plain"].passed.strategy,
+                    acting={k: a for k, run in c.cells.items() if (a := _acting(run, level))},
+                    acting_share=_acting_share(c, level),
                     parts=parts,
                     passes=_passes(c),
                 )
@@ -298,7 +281,7 @@ def decompose(runs: Sequence[Run]) -> list[Decomposition]:
     return _with_holm(found)
 
 
-def _parts(quantity: str, crossing: Crossing) -> Parts | None:
+def _parts(quantity: str, crossing: Crossing, level: float) -> Parts | None:
     """The parts of one quantity; None if a cell that is needed lacks it, or no trial is common."""
     samples = {
         name: sample
@@ -311,18 +294,17 @@ def _parts(quantity: str, crossing: Crossing) -> Parts | None:
     cells = Cells(**dict(zip(samples, arrays, strict=True)))
     if len(cells.gap) < 2:
         return None
-    gap = mean_difference(samples["plain"], samples["reference"]).estimate
-
+    gap = mean_difference(samples["plain"], samples["reference"], level=level).estimate
     least = LEAST * max(abs(cells.plain.mean()), abs(cells.reference.mean()))
     divisible = gap.outside(0.0, 0.0) and abs(gap.value) >= least
 
     def share(part: NDArray[np.float64]) -> Estimate:
-        return share_of(part, cells.gap) if divisible else NOT_ESTIMABLE
+        return share_of(part, cells.gap, level=level) if divisible else NOT_ESTIMABLE
 
     assumed, corrected = cells.assumed, cells.corrected
     data = None
     if "corrected" in samples:
-        data = mean_difference(samples["corrected"], samples["reference"])
+        data = mean_difference(samples["corrected"], samples["reference"], level=level)
     return Parts(
         quantity=quantity,
         n=len(cells.gap),
@@ -337,15 +319,16 @@ def _parts(quantity: str, crossing: Crossing) -> Parts | None:
     )
 
 
-def _acting(run: Run) -> Acting | None:
+def _acting(run: Run, level: float) -> Acting | None:
     samples = run.samples()
     if "handicap" not in samples:
         return None
-    return Acting(*(mean_interval(samples[k]) for k in ("behaved", "evaluated", "handicap")))
+    quantities = ("behaved", "evaluated", "handicap")
+    return Acting(*(mean_interval(samples[k], level=level) for k in quantities))
 
 
-def _acting_share(crossing: Crossing) -> Estimate | None:
-    pair = [run.samples() for run in (crossing.plain, crossing.reference)]
+def _acting_share(crossing: Crossing, level: float) -> Estimate | None:
+    pair = [crossing.cells[name].samples() for name in ("plain", "reference")]
     if any("handicap" not in samples for samples in pair):
         return None
     keys = [samples["behaved"].keys for samples in pair]
@@ -354,13 +337,13 @@ def _acting_share(crossing: Crossing) -> Estimate | None:
     )
     if len(behaved[0]) < 2:
         return None
-    return share_of(handicap[1] - handicap[0], behaved[0] - behaved[1])
+    return share_of(handicap[1] - handicap[0], behaved[0] - behaved[1], level=level)
 
 
 def _passes(crossing: Crossing) -> tuple[int, int, int] | None:
-    if crossing.corrected is None:
+    if "corrected" not in crossing.cells:
         return None
-    both = [crossing.plain.passed, crossing.corrected.passed]
+    both = [crossing.cells[name].passed for name in ("plain", "corrected")]
     values = [o.converged.astype(np.float64) for o in both]
     plain, corrected = aligned([trial_keys(o) for o in both], values)
     return int(plain.sum()), int(corrected.sum()), len(plain)

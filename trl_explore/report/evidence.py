@@ -12,9 +12,8 @@ from trl_explore.report.decomposition import Decomposition, decompose, runs_of
 from trl_explore.report.groups import Group, group_jobs
 from trl_explore.report.layouts import pairs_by_size, size_sentence
 from trl_explore.report.loading import Gap, Loaded, Say, silent
-from trl_explore.report.own_claims import own_claims
 from trl_explore.report.questions import Question
-from trl_explore.report.selecting import asked, without
+from trl_explore.report.selecting import asked, own_claims, without
 from trl_explore.report.sentences import (
     alone,
     answer,
@@ -132,7 +131,8 @@ def gather(loaded: Loaded, study: StudyFile | None = None, say: Say = silent) ->
     for k, group in enumerate(groups, start=1):
         say(f"{k} of {len(groups)}: {group.title}, {len(group.configurations)} configurations")
         parts.append(_group_evidence(group, gaps, study))
-    parts.sort(key=lambda p: (p.single, experiment_rank(p.group.experiment), -p.size))
+    parts.sort(key=lambda p: (p.single, experiment_rank(p.group.experiment), -p.size,
+                              not any(s.converged for s in p.summaries)))  # fmt: skip
     outcomes = [job.outcomes for job in jobs]
     timed = {f"{j.outcomes.experiment}/{j.outcomes.name}": j.timing for j in reversed(jobs)}
     data = Study(
@@ -144,7 +144,8 @@ def gather(loaded: Loaded, study: StudyFile | None = None, say: Say = silent) ->
     say("statements")
     checked = _checked(data, study)
     reexamined, causes = _why(data)
-    decompositions = decompose([run for p in parts for run in runs_of(p.group, p.traces.heights)])
+    runs = [run for p in parts for run in runs_of(p.group, p.traces.heights)]
+    decompositions = decompose(runs, study.level)
     return Evidence(
         study=study,
         groups=parts,
@@ -191,8 +192,9 @@ def _answers(parts: Sequence[GroupEvidence]) -> tuple[str, ...]:
     compared = [p for p in others if not p.single]
     said = [f"{p.group.title}: {p.sentences[0]}" for p in compared if p.sentences]
     more = len(said) - MOST_ANSWERS
+    where = f"{main.group.title}: " if compared else ""
     return (
-        *main.sentences,
+        *(f"{where}{s}" if k == 0 else s for k, s in enumerate(main.sentences)),
         *said[:MOST_ANSWERS],
         *([f"The sections below answer {more} more questions."] if more > 0 else []),
         *alone([p.group for p in others if p.single]),
@@ -210,7 +212,7 @@ def _group_evidence(group: Group, gaps: list[Gap], study: StudyFile) -> GroupEvi
     said = [
         s if s.startswith("The learned") else f"Judged by what was learned, {s[:1].lower()}{s[1:]}"
         for s in by_learning.sentences
-        if s not in found.sentences
+        if s not in found.sentences and "confounded" not in s
     ]
     return replace(found, learned=by_learning, sentences=(*found.sentences, *said))
 
@@ -274,7 +276,7 @@ def _scores_said(
 ) -> tuple[str, ...]:
     if group.plane is not None or group.sized:
         return ()
-    what = "learned" if group.configurations[0].measure == "learned" else "final"
+    what = "learned" if group.did == "learned" else "final"
     said = score_sentence(comparisons, scores, group.labels, what)
     return (said,) if said else ()
 

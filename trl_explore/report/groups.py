@@ -32,9 +32,8 @@ from trl_explore.report.factors import (
     value_words,
 )
 from trl_explore.report.layouts import SIZE, Crossed, Plane, crossed, plane
-from trl_explore.report.loading import Job
+from trl_explore.report.loading import Job, repeats, set_aside, settled
 from trl_explore.report.questions import Confound, Question, confounds, inferred
-from trl_explore.report.repeats import repeats, set_aside, settled
 from trl_explore.report.style import Style, option_styles, styles
 from trl_explore.report.tables import listed
 from trl_explore.statistics.outcomes import Outcomes, judged
@@ -47,28 +46,20 @@ class Group:
 
     Attributes:
         id: unique, usable in file names.
-        title: heading in the report.
-        experiment: name of the experiment.
-        cap: maximum number of iterations.
-        threshold: score above which a trial passes.
-        window: number of episodes that the final score averages over.
-        environment: id of the environment.
+        cap, threshold, window: the stopping rule.
+        environment: id of the environment, with what differs from others of the id.
         configurations: in the order of the figures; seeds pooled, each (seed, trial) once; judged
             by training scores if these decide, else as the jobs were stopped.
-        learned: the same, judged by what was learned; empty if that is unknown.
-        labels: name of a configuration -> label.
-        styles: name of a configuration -> style.
-        jobs: name of a configuration -> its jobs.
+        labels, styles, jobs: by the name of a configuration.
+        parameter: label of the only parameter in which the configurations differ, or None.
+        crossed, plane: the layout, if there is one.
+        learned: the configurations, judged by what was learned; empty if that is unknown.
+        sized: whether the configurations differ in the size of the task.
         factors: the settings that are not the same for all of them.
         questions: the factors that are varied while all others are held.
         confounds: the factors that only change together.
         notes: what was done with pilots and repeats.
         chosen: whether a study file chose the questions.
-        parameter: label of the only parameter in which the configurations differ, or None.
-        crossed: layout of rows crossed with options, or None.
-        plane: layout of two parameters, or None.
-        sized: whether the configurations differ in the size of the task.
-
     """
 
     id: str
@@ -97,6 +88,11 @@ class Group:
     def env_id(self) -> str:
         """The id of the environment, without what differs from others of the id."""
         return str(arguments(self.configurations[0], "env").get("id", "unknown"))
+
+    @property
+    def did(self) -> str:
+        """What the trials that converged did: ``passed``, or ``learned``."""
+        return "learned" if self.configurations[0].measure == "learned" else "passed"
 
     @property
     def free(self) -> bool:

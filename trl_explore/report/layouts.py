@@ -25,11 +25,9 @@ class Crossed:
     """Rows (strategies, temperatures) crossed with the options of one group.
 
     Attributes:
-        of: the configuration group, for example ``correction``.
-        rows: labels of the rows.
-        options: labels of the options; the others are compared with the first.
+        of: label of the group, for example ``correction``.
+        rows, options: labels; each option is compared with the first.
         cells: (row, option) -> name of the configuration; some may be missing.
-
     """
 
     of: str
@@ -51,13 +49,9 @@ class Plane:
     """Two parameters of one strategy, both varied.
 
     Attributes:
-        x: label of the first parameter.
-        y: label of the second parameter.
-        xs: values of the first, ascending.
-        ys: values of the second, ascending.
+        x, y: labels of the parameters; ``xs`` and ``ys``: their values, ascending.
         cells: (index in xs, index in ys) -> name of the configuration; some may be missing.
         reference: the thesis's configuration, if it is one of the cells.
-
     """
 
     x: str

@@ -1,10 +1,12 @@
-"""Read finished jobs from folders, and list what is missing."""
+"""Read finished jobs from folders; what is missing, and which jobs are pilots or repeats."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,8 +14,12 @@ from numpy.typing import NDArray
 
 from trl_explore import jobs as results
 from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.sweeps import LOOKS, VERDICTS
+from trl_explore.names import strategy_label, symbol
+from trl_explore.report.factors import value_words
+from trl_explore.report.tables import listed, some
 from trl_explore.statistics.outcomes import Outcomes, convergence_times
-from trl_explore.statistics.pairing import trial_keys
+from trl_explore.statistics.pairing import configuration_key, deduplicate, trial_keys
 
 Say = Callable[[str], None]
 """Told what is being done, one line per stage."""
@@ -65,7 +71,6 @@ def load(folders: Sequence[Path], say: Say = silent) -> Loaded:
 
     Raises:
         ResultsError: no job can be read; the message is one line.
-
     """
     for folder in folders:
         if not folder.is_dir():
@@ -73,7 +78,7 @@ def load(folders: Sequence[Path], say: Say = silent) -> Loaded:
     found = {job.resolve(): done for f in folders for job, done in results.find_folders(f)}
     if (number := sum(found.values())) > 1:
         say(f"reading {number} jobs")
-    gaps = [Gap(_short(job), UNFINISHED) for job in sorted(found) if not found[job]]
+    gaps = [Gap(_place(job), UNFINISHED) for job in sorted(found) if not found[job]]
     errors: list[Exception] = []
     jobs = []
     timings: dict[Path, pd.DataFrame | None] = {}
@@ -101,7 +106,7 @@ def load(folders: Sequence[Path], say: Say = silent) -> Loaded:
 
 def gap(folder: Path, error: Exception) -> Gap:
     """The gap of a job that raised an error; the message without the path to the sweep."""
-    return Gap(_short(folder), str(error).replace(f"{folder.parent.parent}/", ""))
+    return Gap(_place(folder), str(error).replace(f"{folder.parent.parent}/", ""))
 
 
 def _of_job(error: Exception, folder: Path) -> ResultsError:
@@ -111,7 +116,7 @@ def _of_job(error: Exception, folder: Path) -> ResultsError:
     return ResultsError(" ".join(text.split()))
 
 
-def _short(folder: Path) -> str:
+def _place(folder: Path) -> str:
     return f"{folder.parent.name}/{folder.name}"
 
 
@@ -158,3 +163,90 @@ def _timing_of(timings: pd.DataFrame | None, outcomes: Outcomes) -> Timing | Non
     trial, seconds = np.asarray(timings["trial"])[rows], np.asarray(timings["seconds"])[rows]
     order = np.argsort(trial)
     return Timing(trial[order].astype(np.int64), seconds[order].astype(np.float64))
+
+
+Rule = tuple[Any, ...]
+"""Experiment, cap, and the rest of a stopping rule."""
+
+
+def set_aside(by_rule: dict[Rule, list[Job]]) -> dict[Rule, list[str]]:
+    """Remove the pilots; a note for the group that is used instead of each."""
+    sizes = {rule: _trials_by_key(jobs) for rule, jobs in by_rule.items()}
+    notes: dict[Rule, list[str]] = {}
+    for rule, mine in sorted(sizes.items(), key=lambda item: sum(item[1].values())):
+        for other, theirs in sizes.items():
+            longer = other[1] >= rule[1] and (other[0], *other[2:]) == (rule[0], *rule[2:])
+            if other == rule or not longer or other not in by_rule:
+                continue
+            if all(theirs.get(key, 0) > n for key, n in mine.items()):
+                names = some([_short(job.outcomes) for job in by_rule.pop(rule)])
+                notes.setdefault(other, []).append(
+                    f"A pilot is not used: {names} with {max(mine.values()):,} trials and a cap of"
+                    f" {rule[1]:,} iterations. The same configurations were run here with more"
+                    f" trials and a cap of {other[1]:,}."
+                )
+                break
+    return notes
+
+
+def _trials_by_key(jobs: Sequence[Job]) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for outcomes in deduplicate([job.outcomes for job in jobs]):
+        key = configuration_key(outcomes)
+        counts[key] = counts.get(key, 0) + len(outcomes)
+    return counts
+
+
+def repeats(jobs: Sequence[Job]) -> list[str]:
+    """What is done with several jobs of one configuration."""
+    by_key: dict[str, list[Job]] = {}
+    for job in jobs:
+        by_key.setdefault(configuration_key(job.outcomes), []).append(job)
+    pooled: dict[str, list[str]] = {}
+    repeated: dict[str, list[str]] = {}
+    for same in by_key.values():
+        kept = deduplicate([job.outcomes for job in same])
+        counts = [
+            pair for o in kept for pair in np.column_stack(np.unique(o.seed, return_counts=True))
+        ]
+        seeds = sorted({f"{seed} ({n:,} trials)" for seed, n in counts})
+        name = _short(same[0].outcomes)
+        if len(seeds) > 1:
+            pooled.setdefault(listed(seeds), []).append(name)
+        if sum(len(j.outcomes) for j in same) > sum(map(len, kept)):
+            trials = max(len(j.outcomes) for j in same)
+            repeated.setdefault(f"{trials:,}", []).append(name)
+    return [
+        *(f"Repeats are pooled: seeds {seeds} of {some(n)}." for seeds, n in pooled.items()),
+        *(
+            f"Several jobs hold the same trials of {some(names)}; each trial counts once."
+            for names in repeated.values()
+        ),
+    ]
+
+
+def _short(o: Outcomes) -> str:
+    own = [f"{symbol(f'strategy.{k}')} = {value_words(v)}" for k, v in o.parameters.items()]
+    return ", ".join([strategy_label(o.strategy), *own])
+
+
+def settled(jobs: Sequence[Job]) -> list[str]:
+    """What was decided while trials were added, and a warning about all other numbers."""
+    sweeps = [f for f in dict.fromkeys(job.folder.parent for job in jobs) if (f / LOOKS).is_file()]
+    found = []
+    for sweep in sweeps:
+        try:
+            with (sweep / VERDICTS).open(encoding="utf-8", newline="") as file:
+                rows = [(r["first"], r["second"], r["greater mean"]) for r in csv.DictReader(file)]
+        except (OSError, KeyError, csv.Error):
+            rows = []
+        said = [f"{winner} has the greater mean of {a} and {b}" for a, b, winner in rows
+                if winner in (a, b)]  # fmt: skip
+        left = sum(winner == "open" for *_, winner in rows)
+        found.append(
+            "Trials were added until the comparisons were decided (until=settled). With the error"
+            f" held over all looks: {'; '.join([*said[:6], f'{left} of {len(rows)} pairs open'])}"
+            f" (all in {sweep.name}/{VERDICTS}). The p-values and intervals of this page do not"
+            " allow for the looks, and are too sure."
+        )
+    return found

@@ -2,36 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from importlib.resources import files
+from math import nan
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
-
-from trl_explore.logs.measures import Task, by_configuration
+from trl_explore.logs.measures import Task, by_configuration, seeds_text
 from trl_explore.logs.runs import Run
-from trl_explore.report.build import PAGE, TABLES, _clear, _fresh, _write, _write_table
+from trl_explore.report.build import write_page
 from trl_explore.report.figures import Picture
 from trl_explore.report.figures.logs import task_figures
-from trl_explore.report.log_tables import (
-    PERCENT,
-    estimate_text,
-    groups_table,
-    number_text,
-    p_equals,
-    pairs_table,
-    runs_table,
-    summary_table,
+from trl_explore.report.page import render
+from trl_explore.report.results_tables import pair_columns, pair_records
+from trl_explore.report.style import styles, visual_language
+from trl_explore.report.tables import (
+    Column,
+    Record,
+    Table,
+    estimate_cell,
+    figure,
+    interval,
+    p_value,
+    rate_cell,
 )
-from trl_explore.report.page import environment
-from trl_explore.report.style import styles, theme_css, visual_language
-from trl_explore.report.tables import Table
-from trl_explore.statistics.comparisons import Comparison, Measure, compare_pairs
-from trl_explore.statistics.estimates import LEVEL
+from trl_explore.statistics.comparisons import Comparison, Measure, compare_all
+from trl_explore.statistics.estimates import LEVEL, Estimate, flat, pass_rate
+from trl_explore.statistics.means import mean_interval
 from trl_explore.statistics.power import fewest_pairs
+from trl_explore.statistics.samples import Sample
+from trl_explore.statistics.summary import interquartile_mean
+from trl_explore.statistics.survival import kaplan_meier, median_time
 
 
 @dataclass(frozen=True)
@@ -67,45 +69,38 @@ def build_page(
         ResultsError: the folder is a link.
     """
     sections = [_section(task, f"environment-{k + 1}") for k, task in enumerate(found)]
-    used = [run for run in runs if run.used]
-    tables = [runs_table(runs), groups_table(runs), *(t for s in sections for t in s.tables)]
-    return write_page(
+    used = sum(run.used for run in runs)
+    return write_sections(
         out,
         sections,
-        tables,
+        groups=groups_table(runs),
+        runs=runs_table(runs),
         title=_title(found),
         heading="What was read",
-        facts=f"{len(used)} runs, {len(by_configuration(runs))} configurations, one number of"
-        " each run in every test.",
+        facts=f"{used} runs, {len(by_configuration(runs))} configurations, one number of each run"
+        " in every test.",
         setup=_setup(runs, found, source, others),
-        groups=tables[1],
-        runs=tables[0],
-        method=_method(found),
-        limits=_limits(found),
+        threshold=found[0].threshold,
+        level=f"{100 * LEVEL:g} %",
+        versions=[f"{name} {version(name)}" for name in ("trl_explore", "numpy", "scipy")],
+        most=max(len(c) for task in found for c in task.configurations),
     )
 
 
-def write_page(
-    out: Path, sections: Sequence[Section], tables: Sequence[Table], **parts: Any
+def write_sections(
+    out: Path,
+    sections: Sequence[Section],
+    *,
+    groups: Table,
+    runs: Table,
+    template: str = "logs.html",
+    **parts: Any,
 ) -> Path:
-    """Write a page of ``logs.html`` with its figures and tables; return its path."""
-    pictures = [figure for section in sections for figure in section.figures]
-    template = environment().get_template("logs.html")
-    html = template.render(
-        css=Markup(_file("page.css") + theme_css(f.svg for f in pictures)),
-        script=Markup(_file("page.js")),
-        sections=sections,
-        **parts,
-    )
-    _clear(out)
-    for figure in pictures:
-        _write(out / "figures" / f"{figure.id}.svg", figure.svg)
-        _fresh(out / "figures" / f"{figure.id}.png").write_bytes(figure.png)
-        _fresh(out / "figures" / f"{figure.id}.pdf").write_bytes(figure.pdf)
-    for table in tables:
-        _write_table(out / TABLES, table)
-    _write(out / PAGE, html)
-    return out / PAGE
+    """Write a page with its figures and tables; return its path."""
+    figures = [f for section in sections for f in section.figures]
+    tables = [groups, runs, *(t for section in sections for t in section.tables)]
+    html = render(template, figures, sections=sections, groups=groups, runs=runs, **parts)
+    return write_page(out, html, figures, tables)
 
 
 def _title(found: Sequence[Task]) -> str:
@@ -118,52 +113,39 @@ def _title(found: Sequence[Task]) -> str:
 def _setup(
     runs: Sequence[Run], found: Sequence[Task], source: str, others: Sequence[str]
 ) -> list[tuple[str, str]]:
-    first = found[0]
+    of, threshold = "episodes" if runs[0].episodes else "points", found[0].threshold
     windows = sorted({task.window for task in found})
-    of = "episodes" if runs[0].episodes else "points"
     window = ", ".join(f"mean of the last {n} {of}" if n > 1 else "every point" for n in windows)
-    thresholds = (
-        "none: no times (--threshold)" if first.threshold is None else f"> {first.threshold:g}"
-    )
     horizons = {f"{task.environment or 'all'}: {task.horizon:,.0f}" for task in found}
-    setup = [
+    more = f" and {len(others) - 12} more" if len(others) > 12 else ""
+    return [
         ("read with", f"--from {source}"),
         ("score", f"{runs[0].score}, {window}"),
         ("steps", runs[0].step),
-        ("threshold", thresholds),
+        ("threshold", "none: no times (--threshold)" if threshold is None else f"> {threshold:g}"),
         ("judged up to step", ", ".join(sorted(horizons))),
+        *([("also logged, not used", ", ".join(others[:12]) + more)] if others else []),
     ]
-    if others:
-        more = f" and {len(others) - 12} more" if len(others) > 12 else ""
-        setup.append(("also logged, not used", ", ".join(others[:12]) + more))
-    return setup
 
 
 def _section(task: Task, id: str) -> Section:
     names = [c.name for c in task.configurations]
-    looks = dict(zip(names, styles(names), strict=True))
-    rows, notes = [], list(task.notes)
+    labels = {name: name for name in names}
+    rows, notes, tables = [], list(task.notes), [summary_table(task, id)]
     for measure in task.measures():
-        table, missing = _compare(task, measure)
-        rows += [(measure, table)] if table else []
-        notes += missing
+        whole = [c.outcomes() for c in task.configurations]
+        known = [o for o in whole if len(measure.of(o))]
+        if lacking := [o.name for o in whole if o not in known]:
+            notes.append(f"No run of {', '.join(lacking)} has {measure.name}.")
+        if compared := compare_all(known, measure):
+            rows.append((measure, compared))
+            title = f"{measure.name[0].upper()}{measure.name[1:]}: all pairs"
+            tables.append(Table(f"{id}-pairs-{len(rows)}", title, pair_columns(),
+                                pair_records(compared, labels), main=True))  # fmt: skip
     with visual_language():
-        figures = [*task_figures(task, id, looks)]
-    tables = [summary_table(task, id)]
-    tables += [pairs_table(task, measure, table, f"{id}-pairs-{k + 1}")
-               for k, (measure, table) in enumerate(rows)]  # fmt: skip
+        figures = task_figures(task, id, dict(zip(names, styles(names), strict=True)))
     title = task.environment or "All runs"
     return Section(id, title, _answer(task, rows), notes, figures, tables)
-
-
-def _compare(task: Task, measure: Measure) -> tuple[list[Comparison], list[str]]:
-    """All pairs of configurations of which at least one run has the measure."""
-    whole = [(c.outcomes(), measure.of(c.outcomes())) for c in task.configurations]
-    known = [outcomes for outcomes, sample in whole if len(sample)]
-    lacking = [o.name for o, sample in whole if not len(sample)]
-    pairs = [(a, b) for i, a in enumerate(known) for b in known[i + 1 :]]
-    notes = [f"No run of {', '.join(lacking)} has {measure.name}."] if lacking else []
-    return compare_pairs(pairs, measure), notes
 
 
 def _answer(task: Task, rows: Sequence[tuple[Measure, Sequence[Comparison]]]) -> list[str]:
@@ -177,97 +159,131 @@ def _answer(task: Task, rows: Sequence[tuple[Measure, Sequence[Comparison]]]) ->
     if len(task.configurations) < 2:
         return [*sentences, "There is only one configuration, so nothing is compared."]
     for measure, table in rows:
-        won = [c for c in table if c.winner]
-        won.sort(key=lambda c: c.p_value)
-        if not won:
-            sentences.append(_undecided(measure, table))
-        else:
+        won = sorted((c for c in table if c.winner), key=lambda c: c.p_value)
+        most, fewest = max(min(c.n_a, c.n_b) for c in table), fewest_pairs()
+        if won:
             more = f" Of {len(table)} pairs, {len(won)} differ." if len(table) > 1 else ""
-            sentences += [_won(measure, won[0]) + more]
+            sentences.append(pair_sentence(won[0], measure) + more)
+        elif all(c.design == "paired" for c in table) and most < fewest:
+            sentences.append(
+                f"No difference in {measure.name} can be established: with {most} pairs none is"
+                f" ever significant at {100 * (1 - LEVEL):g} %; at least {fewest} seeds are needed."
+            )
+        elif len(table) == 1:
+            sentences.append(pair_sentence(table[0], measure))
+        else:
+            sentences.append(
+                f"No difference in {measure.name} is established in any of {len(table)} pairs."
+            )
     return sentences
 
 
-def _won(measure: Measure, c: Comparison) -> str:
-    loser = c.b if c.winner == c.a else c.a
-    means = (c.mean_a, c.mean_b) if c.winner == c.a else (c.mean_b, c.mean_a)
+def pair_sentence(c: Comparison, measure: Measure, labels: Mapping[str, str] | None = None) -> str:
+    """The winner of a pair with the means and their difference, or that there is none."""
+    name = labels or {c.a: c.a, c.b: c.b}
+    design = f"{c.n_a} pairs by seed" if c.design == "paired" else f"{c.n_a} and {c.n_b} runs"
+    if c.winner is None:
+        return (
+            f"No difference in {measure.name} is established between {name[c.a]} and {name[c.b]}:"
+            f" {interval(c.difference)} ({design})."
+        )
+    (best, high), (rest, low) = sorted(
+        ((c.a, c.mean_a), (c.b, c.mean_b)), key=lambda pair: pair[0] != c.winner
+    )
     better = "takes fewer" if measure.less_is_better else "has a higher"
     return (
-        f"{c.winner} {better} {measure.name} than {loser}: {number_text(means[0])} against"
-        f" {number_text(means[1])} on average, a difference of {estimate_text(c.difference)}"
-        f" ({p_equals(c.p_holm)}, {_design(c)})."
+        f"{name[best]} {better} {measure.name} than {name[rest]}: {figure(high)} against"
+        f" {figure(low)} on average, a difference of {interval(c.difference)}"
+        f" (p {p_value(c.p_holm)}, {design})."
     )
 
 
-def _undecided(measure: Measure, table: Sequence[Comparison]) -> str:
-    most, fewest = max(min(c.n_a, c.n_b) for c in table), fewest_pairs()
-    if all(c.design == "paired" for c in table) and most < fewest:
-        return (
-            f"No difference in {measure.name} can be established: with {most} pairs none is ever"
-            f" significant at {100 * (1 - LEVEL):g} %; at least {fewest} seeds are needed."
-        )
-    if len(table) == 1:
-        return (
-            f"No difference in {measure.name} is established between {table[0].a} and"
-            f" {table[0].b}: {estimate_text(table[0].difference)} ({_design(table[0])})."
-        )
-    return f"No difference in {measure.name} is established in any of {len(table)} pairs."
-
-
-def _design(c: Comparison) -> str:
-    if c.design == "paired":
-        return f"{c.n_a} pairs by seed"
-    return f"{c.n_a} and {c.n_b} runs"
-
-
-def _method(found: Sequence[Task]) -> list[str]:
-    threshold = found[0].threshold
-    times = (
-        f" The time of a run is the first step at which its smoothed score exceeds {threshold:g};"
-        " a run that does not exceed it is right-censored at the last step. The share of runs by"
-        " step is Kaplan and Meier's estimate with a log-log interval; the mean of steps is"
-        " restricted to the last step, with an interval that allows for failures that were not"
-        " seen (MOVER: Zou and Donner 2008)."
-        if threshold is not None
-        else ""
-    )
-    return [
-        "Every run gives one number to each test. All runs of an environment are judged over the"
-        " same steps. The final score is the mean of the smoothed score over the last tenth of the"
-        " steps; the area under the curve is its mean over all steps. Both count every step alike,"
-        " whatever the distance of the logged points." + times,
-        f"Intervals of means are Student's, at {PERCENT}. The interquartile mean (IQM) is the mean"
-        " of the middle half of the runs, with the interval of Tukey and McLaughlin (1963);"
-        " performance profiles and the IQM are those of Agarwal et al. (2021). Two configurations"
-        " are compared by the difference of their means: in pairs of runs with the same seed, or,"
-        " where no seed is shared, as independent samples. The test is the dual of the interval,"
-        " and its p is at least 2 / 2ⁿ with n pairs. Within each table p is corrected by Holm's"
-        " method, and each interval has the level of its step.",
-        f"Made with trl_explore {version('trl_explore')}, numpy {version('numpy')} and scipy"
-        f" {version('scipy')}.",
+def runs_table(runs: Sequence[Run]) -> Table:
+    """One row for each run, with what was recognised and what was changed."""
+    records = [
+        {
+            "run": run.place, "configuration": run.configuration, "environment": run.environment,
+            "seed": run.seed, "points": len(run.curve), "last": run.curve.last, "used": run.used,
+            "notes": "; ".join(run.notes),
+        }
+        for run in runs
+    ]  # fmt: skip
+    columns = [
+        Column("run", "run", lambda r: str(r["run"]), wide=True),
+        Column("configuration", "configuration", lambda r: str(r["configuration"])),
+        Column("environment", "environment", lambda r: str(r["environment"] or "unknown")),
+        Column("seed", "seed", lambda r: "unknown" if r["seed"] is None else str(r["seed"]), True),
+        Column("points", "points", lambda r: f"{r['points']:,}", True),
+        Column("last", "last step", lambda r: f"{r['last']:,.0f}", True),
+        Column("notes", "notes", lambda r: str(r["notes"]), wide=True),
     ]
+    return Table("runs", "All runs", columns, records)
 
 
-def _limits(found: Sequence[Task]) -> list[str]:
-    limits = [
-        "Whether the scores show what was learned or how the agent explored: that depends on what"
-        " the program logged.",
-        "Why configurations differ. If they differ in more than one setting, their settings are"
-        " confounded.",
-        "Anything about the behaviour policy, the states that were visited, or scores without"
-        " exploration: these files do not hold them.",
+def groups_table(runs: Sequence[Run]) -> Table:
+    """One row for each configuration of each environment."""
+    records = [
+        {
+            "environment": name or "unknown", "configuration": configuration, "runs": len(group),
+            "seeds": seeds_text(group),
+            "first_last": min(r.curve.last for r in group),
+            "last_last": max(r.curve.last for r in group),
+        }
+        for (name, configuration), group in by_configuration(runs).items()
+    ]  # fmt: skip
+    columns = [
+        Column("environment", "environment", lambda r: str(r["environment"])),
+        Column("configuration", "configuration", lambda r: str(r["configuration"])),
+        Column("runs", "runs", lambda r: str(r["runs"]), True),
+        Column("seeds", "seeds", lambda r: str(r["seeds"])),
+        Column("last_last", "last step", _range, True),
     ]
-    if len(found) > 1:
-        limits.append(
-            "Which configuration is best over all environments: their scores have no common scale."
-        )
-    most = max(len(c) for task in found for c in task.configurations)
-    if most < 20:
-        limits.append(
-            f"Small differences: there are at most {most} runs of a configuration. The column"
-            " “seeds for 80 % power” says how many would be needed."
-        )
-    return limits
+    return Table("configurations", "Configurations", columns, records)
 
 
-def _file(name: str) -> str:
-    return files("trl_explore.report").joinpath(name).read_text(encoding="utf-8")
+def _range(r: Record) -> str:
+    low, high = f"{r['first_last']:,.0f}", f"{r['last_last']:,.0f}"
+    return high if low == high else f"{low} to {high}"
+
+
+def summary_table(task: Task, id: str) -> Table:
+    """One row for each configuration."""
+    records = []
+    for c in task.configurations:
+        record: dict[str, Any] = {
+            "configuration": c.name, "n": len(c), "cut_off": int(c.cut.sum()),
+            "diverged": int(c.diverged.sum()),
+        }  # fmt: skip
+        if task.threshold is not None:
+            record |= {
+                "converged": int(c.passed.sum()),
+                "pass_rate": pass_rate(int(c.passed.sum()), len(c)),
+                "median": median_time(kaplan_meier(c.time, c.passed)),
+                "mean_steps": sample_mean(c.times()),
+            }
+        final = c.sample(c.final)
+        iqm = interquartile_mean(final.values) if len(final) else Estimate(nan, nan, nan)
+        record |= {"final": sample_mean(final), "iqm": iqm, "area": sample_mean(c.sample(c.area))}
+        records.append(flat(record))
+    columns = [
+        Column("configuration", "configuration", lambda r: str(r["configuration"])),
+        Column("n", "runs", lambda r: str(r["n"]), True),
+    ]
+    if task.threshold is not None:
+        columns += [
+            Column("pass_rate", f"exceeded {task.threshold:g}", rate_cell(), True),
+            Column("median", "median steps", estimate_cell("median", figure, "not reached"), True),
+            Column("mean_steps", "mean steps", estimate_cell("mean_steps"), True),
+        ]
+    columns += [
+        Column("final", "final score, mean", estimate_cell("final"), True),
+        Column("iqm", "final score, IQM", estimate_cell("iqm"), True),
+        Column("area", "area under the curve", estimate_cell("area"), True),
+    ]
+    title = f"Configurations, with {100 * LEVEL:g} % intervals"
+    return Table(f"{id}-configurations", title, columns, records, main=True)
+
+
+def sample_mean(sample: Sample) -> Estimate:
+    """The mean with its interval; NaN without trials."""
+    return mean_interval(sample) if len(sample) else Estimate(nan, nan, nan)

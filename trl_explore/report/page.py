@@ -53,32 +53,6 @@ class Content:
     map: str = ""
 
 
-@dataclass(frozen=True)
-class Section:
-    """The section of one group.
-
-    Attributes:
-        group: the group.
-        facts: one line that describes the group.
-        notes: sentences.
-        absent: what is missing.
-        above: figures that an earlier section shows.
-        figures: figures of this section.
-        recorded: figures of what was recorded during training.
-        tables: tables of this section.
-
-    """
-
-    group: Group
-    facts: str
-    notes: Sequence[str]
-    absent: Sequence[str]
-    above: Sequence[Drawn]
-    figures: Sequence[Drawn]
-    recorded: Sequence[Drawn]
-    tables: Sequence[Table]
-
-
 def environment() -> Environment:
     """The template environment of the page, with escaping of all text."""
     found = Environment(
@@ -102,26 +76,25 @@ def page(content: Content) -> str:
     figures = [figure for part in parts for figure in content.figures[part.group.id]]
     hero = next((f for f in figures if f.kind.hero), None)
     shown: list[Picture] = [*content.acting, *figures]
-    inside = _inside(([hero] if hero else []) + shown)
     trials = sum(len(c) for part in parts for c in part.group.configurations)
     frames = sum(s.frames_total for part in parts for s in part.summaries)
     environments = dict.fromkeys(part.group.environment for part in parts)
+    labels = list(dict.fromkeys(f.label for part in parts for f in part.group.factors))
     missing = [c for c in evidence.checked if c.finding.verdict == NOT_MEASURED]
     known = [c for c in evidence.checked if c not in missing]
     study = evidence.study
-    said = "the thesis says" if study.claims == "thesis" else "statement"
-    found = environment()
-    found.globals["inside"] = frozenset(f.id for f in shown if f.id in inside)
-    return found.get_template("page.html").render(
+    said, title = "statement", "The statements of this study"
+    if study.claims == "thesis":
+        said, title = "the thesis says", "The thesis's statements"
+    return render(
+        "page.html",
+        ([hero] if hero else []) + shown,
         title=study.title or TITLE,
-        mark=MARK,
         study=study,
-        css=Markup(_file("page.css") + theme_css(f.svg for f in shown if f.id in inside)),
-        script=Markup(_file("page.js")),
         facts=f"{trials:,} trials, {frames:,} frames, {len(evidence.outcomes)} jobs.",
         main=main,
         others=[name for name in environments if name != main.environment],
-        differs=_differs(parts),
+        differs=listed(labels) if labels else "",
         settings=content.settings,
         notes=[note for part in parts for note in part.group.notes],
         methods=content.methods,
@@ -132,7 +105,7 @@ def page(content: Content) -> str:
         map=content.map,
         hero=hero,
         claims_tally=tally(c.finding.verdict for c in known),
-        claims=claims_table(known[:OPEN], said=said, title=_statements(study.claims)),
+        claims=claims_table(known[:OPEN], said=said, title=title),
         claims_more=claims_table(known[OPEN:], id="claims-more", said=said, title="Further ones"),
         claims_missing=claims_table(
             missing, id="claims-missing", title="Not measured, with the reason", said=said
@@ -152,28 +125,21 @@ def page(content: Content) -> str:
         provenance=_provenance(evidence),
         jobs=content.jobs,
         files=shown,
-    )  # fmt: skip
+    )
 
 
-def _statements(claims: object) -> str:
-    return "The thesis's statements" if claims == "thesis" else "The statements of this study"
-
-
-def _inside(figures: Sequence[Picture]) -> set[str]:
-    """Ids of the drawings that are inside the page: the first ones that fit."""
-    found: set[str] = set()
-    left = INLINE
-    for figure in figures:
-        left -= len(figure.svg) if figure.id not in found else 0
+def render(template: str, figures: Sequence[Picture], **parts: Any) -> str:
+    """A page as text; the figures that fit, in this order, are inside it."""
+    inside, left = set(), INLINE
+    for figure in {f.id: f for f in figures}.values():
+        left -= len(figure.svg)
         if left >= 0:
-            found.add(figure.id)
-    return found
-
-
-def _differs(parts: Sequence[GroupEvidence]) -> str:
-    """The factors of all groups, in words; empty if there are none."""
-    labels = list(dict.fromkeys(f.label for part in parts for f in part.group.factors))
-    return listed(labels) if labels else ""
+            inside.add(figure.id)
+    found = environment()
+    found.globals["inside"] = inside
+    css = _file("page.css") + theme_css(f.svg for f in figures if f.id in inside)
+    script = Markup(_file("page.js"))
+    return found.get_template(template).render(mark=MARK, css=Markup(css), script=script, **parts)
 
 
 def _code(text: str) -> Markup:
@@ -198,10 +164,13 @@ def group_facts(group: Group) -> str:
     n = len(group.configurations)
     what = "1 configuration" if n == 1 else f"{n} configurations"
     judged_by = group.configurations[0].judged_by
-    whose = "" if judged_by == "training" else f" of {judged_by}"
+    rule = f"passes with a mean score above {group.threshold:g} over {group.window} episodes"
+    rule += "" if judged_by == "training" else f" of {judged_by}"
+    if group.did == "learned":
+        rule = f"has learned when its policy scores above {group.threshold:g} without exploration"
     return (
-        f"{what} × {trials} trials of {group.environment}; a trial passes with a mean score above"
-        f" {group.threshold:g} over {group.window} episodes{whose}; cap {group.cap:,} iterations."
+        f"{what} × {trials} trials of {group.environment}; a trial {rule}; cap {group.cap:,}"
+        " iterations."
     )
 
 
@@ -240,7 +209,7 @@ def _why(content: Content, hero: Drawn | None) -> dict[str, Any] | None:
     }
 
 
-def _section(part: GroupEvidence, content: Content, hero: Drawn | None) -> Section:
+def _section(part: GroupEvidence, content: Content, hero: Drawn | None) -> dict[str, Any]:
     group = part.group
     drawn = content.figures[group.id]
     above = [f for f in drawn if f is hero or (content.why and part.why and f.kind.why)]
@@ -256,16 +225,11 @@ def _section(part: GroupEvidence, content: Content, hero: Drawn | None) -> Secti
         absent.append("seconds of single trials (none was timed alone)")
     if not part.traces.learning and not group.is_grid and group.plane is None:
         absent.append("learning curves (not recorded)")
-    return Section(
-        group=group,
-        facts=group_facts(group),
-        notes=notes,
-        absent=absent,
-        above=above,
-        figures=[f for f in here if not f.kind.recorded],
-        recorded=[f for f in here if f.kind.recorded],
-        tables=content.tables[group.id],
-    )
+    return {
+        "group": group, "facts": group_facts(group), "notes": notes, "absent": absent,
+        "above": above, "figures": [f for f in here if not f.kind.recorded],
+        "recorded": [f for f in here if f.kind.recorded], "tables": content.tables[group.id],
+    }  # fmt: skip
 
 
 def _provenance(evidence: Evidence) -> list[tuple[str, str]]:

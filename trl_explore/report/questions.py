@@ -14,6 +14,7 @@ from itertools import combinations
 from trl_explore.report.factors import Factor
 from trl_explore.report.tables import listed
 
+RATE = "optimizer.lr"
 Pair = tuple[str, str]
 """Names of two configurations."""
 
@@ -55,7 +56,7 @@ class Confound:
     """Factors that only change together.
 
     Attributes:
-        factors: labels of the factors.
+        factors: their labels.
         names: the configurations that nothing separates, and what they are most similar to.
         commands: jobs that would separate the factors, as commands; empty if they are not known.
     """
@@ -90,10 +91,7 @@ def confounds(
 ) -> list[Confound]:
     """The factors that never change alone, and configurations that have no partner.
 
-    Args:
-        names: the configurations of a group.
-        factors: their factors.
-        commands: name of a configuration -> overrides of its job.
+    ``commands`` has the overrides of the job of each configuration.
     """
     if len(factors) < 2:
         return []
@@ -142,7 +140,11 @@ def separating(
         changed = of[:k]
         kept = [word for word in first if not any(_belongs(word, f) for f in changed)]
         taken = [word for word in second if any(_belongs(word, f) for f in changed)]
-        found.append(" ".join(["trl-explore train", *map(quoted, shown([*kept, *taken]))]))
+        words = shown([*kept, *taken])
+        # By default, the learning rate is that of the policy.
+        for rate in (f for f in of if f.key == RATE and not any(_belongs(w, f) for w in words)):
+            words.append(f"{RATE}={float(rate.levels[pair[rate in changed]]):g}")
+        found.append(" ".join(["trl-explore train", *map(quoted, words)]))
     return tuple(found)
 
 
@@ -164,5 +166,5 @@ def _belongs(word: str, factor: Factor) -> bool:
     key = key.split("@")[-1]
     if key == factor.key or key.startswith(f"{factor.key}."):
         # The learning rate is a factor of its own.
-        return not (factor.key == "optimizer" and key == "optimizer.lr")
+        return not (factor.key == "optimizer" and key == RATE)
     return False

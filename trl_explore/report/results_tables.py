@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,19 @@ import numpy as np
 from trl_explore.report.evidence import Answered, Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
 from trl_explore.report.questions import quoted, shown
-from trl_explore.report.tables import Column, Record, Table, figure
+from trl_explore.report.tables import (
+    Column,
+    Record,
+    Table,
+    estimate_cell,
+    figure,
+    p_cell,
+    rate_cell,
+)
+from trl_explore.statistics.comparisons import Comparison
 from trl_explore.statistics.estimates import flat
-from trl_explore.statistics.power import trials_text, trials_to_settle
+from trl_explore.statistics.power import fewest_pairs, trials_text, trials_to_settle
 from trl_explore.statistics.summary import Summary
-
-UNKNOWN = (-math.inf, math.inf)
 
 
 def summary_table(evidence: GroupEvidence) -> Table:
@@ -31,108 +38,116 @@ def summary_table(evidence: GroupEvidence) -> Table:
             record |= {f"learned_{k}": v for k, v in learned.summary(c.name).row().items()}
         record["seconds_mean"] = float(seconds.mean()) if len(seconds) else None
         records.append(record | {"timed": len(seconds)})
+
+    def column(key: str, title: str, *text: Any) -> Column:
+        return Column(key, title, estimate_cell(key, *text), True)
+
     columns = [
         Column("configuration", "configuration", lambda r: r["configuration"]),
-        Column("pass_rate", "passed", _passed(""), True),
-        Column("median", "median iterations", _interval("median", _count, "not reached"), True),
-        Column("restricted_mean", "mean iterations", _interval("restricted_mean", _count), True),
-        Column(
-            "expected_running_time",
-            "iterations per success",
-            _interval("expected_running_time", _count, "∞"),
-            True,
-        ),
-        Column("score_mean", "mean score", _interval("score_mean", _score), True),
-        Column("score_iqm", "interquartile mean", _interval("score_iqm", _score), True),
-        Column("frames_mean", "mean frames", _interval("frames_mean", _count), True),
+        Column("pass_rate", group.did, rate_cell(), True),
+        column("median", "median iterations", _count, "not reached"),
+        column("restricted_mean", "mean iterations", _count),
+        column("expected_running_time", "iterations per success", _count),
+        column("score_mean", "mean score", _score),
+        column("score_iqm", "interquartile mean", _score),
+        column("frames_mean", "mean frames", _count),
     ]
     if learned is not None:
-        columns[2:2] = [Column("learned_pass_rate", "learned", _passed("learned_"), True)]
-        columns[5:5] = [
-            Column("learned_restricted_mean", "mean iterations to learning",
-                   _interval("learned_restricted_mean", _count), True),
-        ]  # fmt: skip
-        columns[8:8] = [
-            Column("learned_score_mean", "learned score",
-                   _interval("learned_score_mean", _score), True),
-        ]  # fmt: skip
+        columns.insert(2, Column("learned_pass_rate", "learned", rate_cell("learned_"), True))
+        mean = "learned_restricted_mean"
+        columns.insert(5, column(mean, "mean iterations to learning", _count))
+        columns.insert(8, column("learned_score_mean", "learned score", _score))
     if any(r["timed"] for r in records):
         columns.append(Column("seconds_mean", "seconds", _seconds, True))
-    return Table(f"{group.id}-configurations", f"{group.title}: configurations", columns, records,
-                 main=True)  # fmt: skip
+    title = f"{group.title}: configurations"
+    return Table(f"{group.id}-configurations", title, columns, records, main=True, kind="cards")
+
+
+def pair_records(
+    comparisons: Sequence[Comparison], labels: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """One record per pair, with the number of trials that would detect the difference."""
+    records = []
+    for c in comparisons:
+        needed = trials_to_settle(c.difference, 0.0, min(c.n_a, c.n_b))
+        named = {"a": labels[c.a], "b": labels[c.b], "winner": labels.get(c.winner or "")}
+        fewest = fewest_pairs(c.difference.level)
+        records.append(c.row() | named | {"trials_needed": needed and max(needed, fewest)})
+    return records
+
+
+def pair_columns(
+    quantity: str = "",
+    text: Callable[[float], str] = figure,
+    *,
+    better: str = "better",
+    by: str = "",
+    short: Callable[[str], str] = str,
+) -> list[Column]:
+    """The columns of :func:`pair_records`; ``quantity`` and ``by`` follow their titles."""
+    return [
+        Column("a", f"first{by}", lambda r: short(r["a"])),
+        Column("b", f"second{by}", lambda r: short(r["b"])),
+        Column("winner", better, lambda r: short(r["winner"]) if r["winner"] else _undecided(r)),
+        Column("difference", f"first − second{quantity}", estimate_cell("difference", text), True),
+        Column("p_holm", "p (Holm)", p_cell("p_holm"), True),
+        Column("better", f"first is {better} in", estimate_cell("better", _percent), True),
+        Column("n_a", "compared", _compared, True),
+        Column("trials_needed", "trials for 80 % power",
+               lambda r: trials_text(r["trials_needed"], "–"), True),
+    ]  # fmt: skip
 
 
 def comparison_table(
     evidence: GroupEvidence, *, learned: bool = False, answered: Answered | None = None
 ) -> Table:
-    """One row per pair, with the number of trials that would detect the difference.
+    """The pairs of a group, in iterations and scores.
 
     Args:
         evidence: the results of a group by one measure.
         learned: whether that is what was learned.
         answered: the question whose pairs are shown; None: the planned pairs of the group.
-
     """
-    labels = evidence.group.labels
-    short = {label: evidence.group.short(name) for name, label in labels.items()}
-    by = f" {evidence.group.parameter}" if evidence.group.parameter else ""
-    records = []
+    group, labels = evidence.group, evidence.group.labels
+    short = {label: group.short(name) for name, label in labels.items()}
     scores = {(s.a, s.b): s for s in evidence.scores}
-    for c in answered.comparisons if answered else evidence.comparisons:
-        needed = trials_to_settle(c.difference, 0.0, min(c.n_a, c.n_b))
-        record = {"experiment": evidence.group.experiment} | c.row()
-        named = {"a": labels[c.a], "b": labels[c.b], "winner": labels.get(c.winner or "")}
+    compared = answered.comparisons if answered else evidence.comparisons
+    records = pair_records(compared, labels)
+    for c, record in zip(compared, records, strict=True):
+        record["experiment"] = group.experiment
         if (score := scores.get((c.a, c.b))) is not None:
             record |= flat({"score_difference": score.difference, "score_p_holm": score.p_holm})
             record["higher_score"] = labels.get(score.winner or "")
-        records.append(record | named | {"trials_needed": needed})
-    columns = [
-        Column("a", f"first{by}", lambda r: short[r["a"]]),
-        Column("b", f"second{by}", lambda r: short[r["b"]]),
-        Column("winner", "faster", lambda r: short.get(r["winner"], _undecided(r))),
-        Column("difference", "first − second, iterations", _interval("difference", _count), True),
-        Column("p_holm", "p (Holm)", lambda r: _p(r["p_holm"]), True),
+    by = f" {group.parameter}" if group.parameter else ""
+    columns = pair_columns(", iterations", _count, better="faster", by=by, short=short.__getitem__)
+    columns[5:5] = [
         Column("score_difference", "first − second, score", _difference, True),
-        Column("p_logrank", "p (log-rank)", lambda r: _p(r["p_logrank"]), True),
-        Column("better", "first is faster in", _interval("better", _percent), True),
-        Column("variance_ratio", "variance kept by pairing",
-               lambda r: _plain(r["variance_ratio"], 2), True),
-        Column("n_a", "pairs or trials", lambda r: f"{min(r['n_a'], r['n_b']):,}", True),
-        Column("trials_needed", "trials for 80 % power", _needed, True),
-    ]  # fmt: skip
-    planned = evidence.group.crossed is not None or evidence.group.plane is not None
-    title = f"{evidence.group.title}: {'planned pairs' if planned else 'all pairs'}"
-    end = "pairs"
+        Column("p_logrank", "p (log-rank)", p_cell("p_logrank"), True),
+    ]
+    columns.insert(8, Column("variance_ratio", "variance kept by pairing", _ratio, True))
+    planned = group.crossed is not None or group.plane is not None
+    title, end = f"{group.title}: {'planned pairs' if planned else 'all pairs'}", "pairs"
     if learned:
         title, end = f"{title}, by what was learned", "pairs-learned"
     if answered:
-        title = f"{evidence.group.title}: pairs for the effect of {answered.question.of}"
-        end = "pairs-" + re.sub(r"[^a-z0-9]+", "-", "-".join(
-            factor.key.lower() for factor in answered.question.factors))  # fmt: skip
-    return Table(f"{evidence.group.id}-{end}", title, columns, records, main=True)
+        title = f"{group.title}: pairs for the effect of {answered.question.of}"
+        keys = "-".join(factor.key.lower() for factor in answered.question.factors)
+        end = f"pairs-{re.sub(r'[^a-z0-9]+', '-', keys)}"
+    return Table(f"{group.id}-{end}", title, columns, records, main=True, kind="cards")
 
 
 def crossed_table(part: GroupEvidence) -> Table:
     """One row per row of a crossed group, one column per option: pass rate, mean and median."""
     layout = part.group.crossed
     assert layout is not None
-    records: list[dict[str, Any]] = []
+    records = []
     for k, row in enumerate(layout.rows):
         record: dict[str, Any] = {"row": row}
         for o, option in enumerate(layout.options):
-            name = layout.cells.get((k, o))
-            if name is not None:
-                summary = part.summary(name)
-                numbers = {
-                    "pass_rate": summary.pass_rate.value,
-                    "pass_rate_low": summary.pass_rate.low,
-                    "pass_rate_high": summary.pass_rate.high,
-                    "restricted_mean": summary.restricted_mean.value,
-                    "restricted_mean_low": summary.restricted_mean.low,
-                    "restricted_mean_high": summary.restricted_mean.high,
-                    "median": summary.median.value,
-                    "summary": _cell(summary),
-                }
+            if name := layout.cells.get((k, o)):
+                s = part.summary(name)
+                numbers = flat({"pass_rate": s.pass_rate, "restricted_mean": s.restricted_mean})
+                numbers |= {"median": s.median.value, "summary": _cell(s)}
                 record |= {f"{option}: {key}": value for key, value in numbers.items()}
         records.append(record)
 
@@ -140,16 +155,13 @@ def crossed_table(part: GroupEvidence) -> Table:
         return lambda r: str(r.get(f"{option}: summary", "–"))
 
     columns = [Column("row", part.group.title, lambda r: r["row"])]
-    columns += [
-        Column(f"{option}: restricted_mean", option, cell(option), True)
-        for option in layout.options
-    ]
+    columns += [Column(f"{o}: restricted_mean", o, cell(o), True) for o in layout.options]
     title = f"{part.group.title}: passed, mean and median iterations"
     return Table(f"{part.group.id}-crossed", title, columns, records, main=True)
 
 
 def _cell(s: Summary) -> str:
-    middle = number(s.median.value) if s.median.value < float("inf") else "not reached"
+    middle = number(s.median.value) if s.median.value < math.inf else "not reached"
     low, high = 100 * s.pass_rate.low, 100 * s.pass_rate.high
     mean = s.restricted_mean
     return (
@@ -167,24 +179,15 @@ def jobs_table(evidence: Evidence) -> Table:
                 o, source = job.outcomes, job.outcomes.provenance
                 first, last = int(o.trial.min()), int(o.trial.max())
                 words = map(quoted, shown(job.command))
-                records.append(
-                    {
-                        "experiment": o.experiment,
-                        "job": o.name,
-                        "configuration": part.group.labels[c.name],
-                        "seed": source.get("seed"),
-                        "trials": len(o),
-                        "first_trial": first,
-                        "last_trial": last,
-                        "cap": o.cap,
-                        "threshold": o.threshold,
-                        "window": o.window,
-                        "environment": part.group.environment,
-                        "collector": source.get("collector"),
-                        "batch_seconds": _number(source.get("seconds")),
-                        "command": " ".join(("trl-explore train", *words)),
-                    }
-                )
+                records.append({
+                    "experiment": o.experiment, "job": o.name,
+                    "configuration": part.group.labels[c.name], "seed": source.get("seed"),
+                    "trials": len(o), "first_trial": first, "last_trial": last,
+                    "cap": o.cap, "threshold": o.threshold, "window": o.window,
+                    "environment": part.group.environment, "collector": source.get("collector"),
+                    "batch_seconds": _number(source.get("seconds")),
+                    "command": " ".join(("trl-explore train", *words)),
+                })  # fmt: skip
     unique = list({(r["experiment"], r["job"], str(r)): r for r in records}.values())
     columns = [
         Column("experiment", "experiment", lambda r: str(r["experiment"])),
@@ -210,32 +213,6 @@ def gaps_table(evidence: Evidence) -> Table:
     return Table("missing", "Missing from this report", columns, records)
 
 
-def _interval(key: str, text: Any, infinite: str = "∞") -> Any:
-    def write(r: Record) -> str:
-        value, low, high = r[key], r[f"{key}_low"], r[f"{key}_high"]
-        main = infinite if value == math.inf else text(value)
-        if value is None or math.isnan(value):
-            return "–"
-        if math.isnan(low) or math.isnan(high) or low == math.inf or (low, high) == UNKNOWN:
-            return main
-        if low == -math.inf:
-            return f"{main}\n{text(high)} or less"
-        if high == math.inf:
-            return f"{main}\n{text(low)} or more"
-        return f"{main}\n[{text(low)}, {text(high)}]"
-
-    return write
-
-
-def _passed(measure: str) -> Callable[[Record], str]:
-    def write(r: Record) -> str:
-        low, high = 100 * r[f"{measure}pass_rate_low"], 100 * r[f"{measure}pass_rate_high"]
-        diverged = f", {r['diverged']} diverged" if r["diverged"] else ""
-        return f"{r[f'{measure}converged']} of {r['n']}{diverged}\n[{low:.0f}, {high:.0f}] %"
-
-    return write
-
-
 def _seconds(r: Record) -> str:
     return f"{r['seconds_mean']:.3g}\n{r['timed']} timed" if r["timed"] else "–"
 
@@ -246,8 +223,9 @@ def _undecided(r: Record) -> str:
     return "not significant"
 
 
-def _needed(r: Record) -> str:
-    return trials_text(r["trials_needed"], "–")
+def _compared(r: Record) -> str:
+    other = "pairs" if r["design"] == "paired" else f"and {r['n_b']:,}"
+    return f"{r['n_a']:,} {other}" + (f"\n{r['dropped']:,} left out" if r["dropped"] else "")
 
 
 def _count(x: float) -> str:
@@ -262,18 +240,15 @@ def _percent(x: float) -> str:
     return f"{100 * x:.0f} %"
 
 
-def _plain(x: float, digits: int) -> str:
-    return "–" if np.isnan(x) else f"{x:.{digits}f}".replace("-", "−")
+def _ratio(r: Record) -> str:
+    x = r["variance_ratio"]
+    return "–" if np.isnan(x) else f"{x:.2f}"
 
 
 def _difference(r: Record) -> str:
     if "score_difference" not in r:
         return "–"
-    return f"{_interval('score_difference', _score)(r)}\np {_p(r['score_p_holm'])}"
-
-
-def _p(p: float) -> str:
-    return "< 0.001" if p < 0.001 else number(round(p, 3))
+    return f"{estimate_cell('score_difference', _score)(r)}\np {p_cell('score_p_holm')(r)}"
 
 
 def _number(value: Any) -> float | None:

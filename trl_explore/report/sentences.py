@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from trl_explore.names import strategy_label
 from trl_explore.report.groups import Group
 from trl_explore.report.questions import Confound, Question
-from trl_explore.report.tables import MOST, figure, interval, listed, negated, some
+from trl_explore.report.tables import FEW, MOST, figure, interval, listed, negated, some
 from trl_explore.statistics.comparisons import Comparison
 from trl_explore.statistics.estimates import LEVEL, pass_rate
 from trl_explore.statistics.outcomes import Outcomes
@@ -24,7 +24,7 @@ def answer(
     *,
     labels: Mapping[str, str] | None = None,
     level: float = LEVEL,
-) -> tuple[str, str]:
+) -> tuple[str, ...]:
     """State which configuration converges fastest, and which differences are significant.
 
     A configuration is the fastest only if interval and corrected test exclude zero against every
@@ -36,16 +36,12 @@ def answer(
         comparisons: ``compare_all`` of them; empty if they cannot be compared.
         labels: text to show instead of a configuration's name.
         level: confidence level.
-
-    Returns:
-        Two sentences of plain text, not escaped.
-
     """
     name = {c.name: (labels or {}).get(c.name, c.name) for c in configurations}
-    return (
-        _fastest(configurations, comparisons, name, level),
-        _differences(configurations, comparisons, name),
-    )
+    first = _fastest(configurations, comparisons, name, level)
+    if len(configurations) > 1 and not any(c.converged.any() for c in configurations):
+        return (first,)
+    return first, _differences(configurations, comparisons, name)
 
 
 def verdicts(checked: Sequence[Checked], whose: str = "thesis") -> tuple[str, ...]:
@@ -111,9 +107,10 @@ def _block(
             f"{words[best]} is fastest, {means[best]:,.0f} iterations, {fewer} fewer than"
             f" {words[second]}{last}"
         )
+    others = "any other" if len(equals) == len(rest) > FEW else some(equals)
     return (
         f"{words[best]} has the smallest mean, {means[best]:,.0f} iterations, but is not"
-        f" significantly faster than {some(equals)} ({fewer} fewer than {words[second]}){last}"
+        f" significantly faster than {others} ({fewer} fewer than {words[second]}){last}"
     )
 
 
@@ -154,10 +151,8 @@ def option_sentences(
 ) -> tuple[str, ...]:
     """One sentence for each option: where it needs fewer or more iterations than the first option.
 
-    Args:
-        comparisons: the first option against another in the same row, corrected together.
-        cells: name of a configuration -> labels of its (row, option).
-
+    ``comparisons`` are those of the first option with another in the same row, corrected together;
+    ``cells`` has the labels of the (row, option) of each configuration.
     """
     by: dict[str, list[tuple[str, Comparison]]] = {}
     for c in comparisons:
@@ -196,15 +191,7 @@ def score_sentence(
 ) -> str:
     """The pairs that differ in their scores although their iterations do not tell them apart.
 
-    Args:
-        comparisons: pairs compared by iterations.
-        scores: the same pairs compared by scores.
-        labels: name of a configuration -> label.
-        what: the kind of score.
-
-    Returns:
-        One sentence; empty if there is no such pair.
-
+    ``scores`` are the same pairs as ``comparisons``. Empty if there is no such pair.
     """
     undecided = {(c.a, c.b) for c in comparisons if c.winner is None}
     found = [c for c in scores if c.winner is not None and (c.a, c.b) in undecided]
@@ -281,7 +268,8 @@ def _fastest(
     rivals = [c for c in configurations if c is not best]
     equals = [c for c in rivals if _winner(best.name, c.name, comparisons) != best.name]
     if equals:
-        others = some([name[c.name] for c in equals])
+        all_others = len(equals) == len(rivals) > FEW
+        others = "any other" if all_others else some([name[c.name] for c in equals])
         return (
             f"No single configuration of {len(configurations)} is fastest: {name[best.name]}"
             f" has the smallest mean number of iterations, but does not differ significantly from"
@@ -317,7 +305,7 @@ def _differences(
         f" correction, with at least {n} trials per configuration"
     )
     unclear = [f"{name[c.a]} and {name[c.b]}" for c in comparisons if c.winner is None]
-    if unclear:
+    if unclear and (real or len(unclear) <= FEW):
         more = f" and {len(unclear) - 3} more" if len(unclear) > 3 else ""
         text += f"; no significant difference between {'; '.join(unclear[:3])}{more}"
     return text + (f"; {never}." if never else ".")

@@ -17,6 +17,8 @@
         passes: {of: softmax, above: 0.8}
     level: 0.95
     leave_out: ["*pilot*", {trials: 5}]
+    until: settled                   # add trials to the sweeps until their comparisons are decided
+    budget: 500                      # most trials of a configuration then
 
 Every key may be left out; ``configurations`` only if folders are given beside the file.
 ``claims: thesis`` means the statements of the thesis. Without a file, the program infers the
@@ -40,8 +42,10 @@ from trl_explore.thesis import CLAIMS
 THESIS = Path(thesis.__file__).with_name("thesis.yaml")
 """The study of the thesis."""
 KEYS = ("title", "question", "configurations", "compare", "measures", "claims", "level",
-        "leave_out")  # fmt: skip
+        "leave_out", "until", "budget")  # fmt: skip
 MEASURES = ("passed", "score", "learned")
+BUDGET, FEWEST = 500, 20
+"""Most trials of a configuration that runs until it is settled, and the least that can be given."""
 RULES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "passes": (("of",), ("above", "below")),
     "never_passes": (("of",), ()),
@@ -71,17 +75,10 @@ class Effect:
 class StudyFile:
     """What a study asks; the defaults ask what the jobs allow.
 
-    Attributes:
-        title: heading of the page.
-        question: one sentence.
-        folders: job and sweep folders.
-        sweeps: overrides of sweeps to run.
-        compare: effects, and pairs of selectors; empty: inferred.
-        measures: those of ``MEASURES`` that the page shows.
-        claims: ``thesis``, or the study's own.
-        level: confidence level.
-        leave_out: patterns of folders, and selectors.
-        path: the file; None without one.
+    ``sweeps`` are overrides of sweeps to run, ``claims`` is ``thesis`` or the study's own,
+    ``leave_out`` has patterns of folders and selectors; ``budget`` is the most trials of a
+    configuration of a sweep that runs until it is settled, None if the sweeps say how many;
+    ``path`` is None without a file.
     """
 
     title: str = ""
@@ -93,6 +90,7 @@ class StudyFile:
     claims: str | tuple[Mapping[str, Any], ...] = "thesis"
     level: float = LEVEL
     leave_out: tuple[Selector, ...] = ()
+    budget: int | None = None
     path: Path | None = None
 
 
@@ -138,6 +136,7 @@ def read_study(path: Path) -> StudyFile:
         claims=claims,
         level=float(level),
         leave_out=tuple(left),
+        budget=_budget(path, content, bool(sweeps)),
         path=path,
     )
 
@@ -153,6 +152,19 @@ def _check_values(path: Path, content: Mapping[str, Any]) -> None:
     for key in ("title", "question"):
         if not isinstance(content.get(key, ""), str):
             _refuse(path, key, content[key], "a text is possible")
+
+
+def _budget(path: Path, content: Mapping[str, Any], sweeps: bool) -> int | None:
+    until, budget = content.get("until"), content.get("budget", BUDGET)
+    if "until" not in content and "budget" not in content:
+        return None
+    if until != "settled":
+        _refuse(path, "until", until, "settled is possible")
+    if not sweeps:
+        _refuse(path, "until", until, "a sweep among the configurations is needed")
+    if isinstance(budget, bool) or not isinstance(budget, int) or budget < FEWEST:
+        _refuse(path, "budget", budget, f"an integer from {FEWEST} is possible")
+    return budget
 
 
 def _configurations(path: Path, value: Any) -> tuple[tuple[Path, ...], tuple[tuple[str, ...], ...]]:

@@ -272,7 +272,9 @@ def to_pdf(figure: Figure) -> bytes:
 
 def drawn_files(figure: Figure) -> dict[str, Any]:
     """The figure in every format: ``svg``, ``png`` and ``pdf``."""
-    return {"svg": to_svg(figure), "png": to_png(figure), "pdf": to_pdf(figure)}
+    svg = to_svg(figure)
+    figure.set_layout_engine("none")  # the layout is the same in every format
+    return {"svg": svg, "png": to_png(figure), "pdf": to_pdf(figure)}
 
 
 def inline_svg(svg: str, name: str, alt: str) -> str:
@@ -282,7 +284,6 @@ def inline_svg(svg: str, name: str, alt: str) -> str:
         svg: from :func:`to_svg`.
         name: prefix of every id, unique within the page.
         alt: what the figure shows, plain text.
-
     """
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.S)

@@ -18,6 +18,8 @@ from trl_explore.statistics.estimates import Estimate
 Record = Mapping[str, Any]
 MOST = 6
 """Most names that a sentence lists."""
+FEW = 3
+"""Most values of one parameter that it lists."""
 
 
 @dataclass(frozen=True)
@@ -142,10 +144,15 @@ def listed(words: Sequence[str]) -> str:
 def some(words: Sequence[str]) -> str:
     """Words as a list; of more than ``MOST`` different ones, the first and a count.
 
-    >>> some([str(k) for k in range(9)])
-    '0, 1, 2, 3, 4, 5 and 3 more'
+    Values of one parameter are named by the first and the last of them.
+
+    >>> some([f"{k}x" for k in range(9)]), some(["T = 1", "T = 2", "T = 4", "T = 8"])
+    ('0x, 1x, 2x, 3x, 4x, 5x and 3 more', 'T = 1, …, 8 (4 values)')
     """
     words = list(dict.fromkeys(words))
+    parts = [word.rpartition(" = ") for word in words]
+    if len(words) > FEW and len({(name, sign) for name, sign, _ in parts}) == 1 and parts[0][1]:
+        return f"{parts[0][0]} = {parts[0][2]}, …, {parts[-1][2]} ({len(words)} values)"
     more = [f"{len(words) - MOST} more"] * (len(words) > MOST)
     return listed([*words[:MOST], *more])
 
@@ -199,12 +206,48 @@ def percent(e: Estimate | None) -> str:
 
 
 def p_value(p: float) -> str:
-    """A p-value, or a bound.
+    """A p-value with its sign of relation.
 
     >>> p_value(0.04), p_value(0.00004)
     ('= 0.04', '< 0.001')
     """
     return "< 0.001" if p < 0.001 else f"= {p:.3f}".rstrip("0").rstrip(".")
+
+
+def p_cell(key: str) -> Callable[[Record], str]:
+    """The text of a p-value in a column."""
+    return lambda r: p_value(r[key]).removeprefix("= ")
+
+
+def estimate_cell(
+    key: str, text: Callable[[float], str] = figure, infinite: str = "∞"
+) -> Callable[[Record], str]:
+    """The text of an estimate in a column, with its interval in a second line."""
+
+    def write(r: Record) -> str:
+        value, low, high = r[key], r[f"{key}_low"], r[f"{key}_high"]
+        if value is None or math.isnan(value):
+            return "–"
+        main = infinite if value == math.inf else text(value)
+        known = [math.isfinite(low), math.isfinite(high)]
+        if math.isnan(low) or math.isnan(high) or low == math.inf or not any(known):
+            return main
+        if not all(known):
+            return f"{main}\n{f'{text(low)} or more' if known[0] else f'{text(high)} or less'}"
+        return f"{main}\n[{text(low)}, {text(high)}]"
+
+    return write
+
+
+def rate_cell(prefix: str = "") -> Callable[[Record], str]:
+    """The text of a pass rate in a column: ``0 of 20``, and its interval in a second line."""
+
+    def write(r: Record) -> str:
+        low, high = 100 * r[f"{prefix}pass_rate_low"], 100 * r[f"{prefix}pass_rate_high"]
+        diverged = f", {r['diverged']} diverged" if r["diverged"] else ""
+        return f"{r[f'{prefix}converged']} of {r['n']}{diverged}\n[{low:.0f}, {high:.0f}] %"
+
+    return write
 
 
 def _signed(text: str) -> str:

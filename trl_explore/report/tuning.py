@@ -11,13 +11,12 @@ import numpy as np
 from trl_explore.names import strategy_label
 from trl_explore.report.figures import Picture
 from trl_explore.report.figures.axes import handle, legend_above, new_figure, plain_numbers
-from trl_explore.report.log_tables import PERCENT, estimate_cell
-from trl_explore.report.logs import Section, write_page
+from trl_explore.report.logs import Section, pair_sentence, sample_mean, write_sections
+from trl_explore.report.results_tables import pair_columns, pair_records
 from trl_explore.report.style import drawn_files, styles, visual_language
-from trl_explore.report.tables import Column, Table
-from trl_explore.statistics.comparisons import Comparison, Measure, compare_all
-from trl_explore.statistics.estimates import Estimate, flat
-from trl_explore.statistics.means import mean_interval
+from trl_explore.report.tables import Column, Table, estimate_cell, figure
+from trl_explore.statistics.comparisons import Measure, compare_all
+from trl_explore.statistics.estimates import LEVEL, flat
 from trl_explore.statistics.outcomes import Outcomes
 
 Settings = Mapping[str, float]
@@ -26,13 +25,9 @@ Settings = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Tuned:
-    """One strategy: every setting that was tried, and the best of them on other seeds.
+    """One strategy: its settings with their trials on the tuning seed, and the picked one judged.
 
-    Attributes:
-        strategy: its name.
-        tried: every setting, with its trials on the tuning seed.
-        picked: the position of the best of them.
-        judged: the trials of the picked setting on the judging seed.
+    ``picked`` is the position of the best setting, ``judged`` its trials on the judging seed.
     """
 
     strategy: str
@@ -72,29 +67,25 @@ def build_page(
 ) -> Path:
     """Write the page; return its path.
 
-    Args:
-        tuned: the strategies.
-        measure: in which they were tuned and are compared.
-        out: folder of the page.
-        tuning: seed on which settings were picked.
-        judging: seed on which the picked ones are compared.
+    The strategies were tuned and are compared in one measure, on a seed each.
     """
-    table = compare_all([t.judged for t in tuned], measure)
     labels = {t.judged.name: strategy_label(t.strategy) for t in tuned}
-    picked, tried = _picked_table(tuned, measure), _tried_table(tuned, measure)
-    pairs = _pairs_table(table, labels)
+    compared = compare_all([t.judged for t in tuned], measure)
+    records = pair_records(compared, labels)
     section = Section(
         "answer",
-        "The tuned strategies, on other seeds" if tuning != judging else "The tuned strategies",
-        [_sentence(c, measure, labels) for c in table] or ["There is only one strategy."],
+        f"The tuned strategies{', on other seeds' if tuning != judging else ''}",
+        [pair_sentence(c, measure, labels) for c in compared] or ["There is only one strategy."],
         warnings(tuned, tuning, judging),
         list(_figures(tuned, measure)),
-        [pairs],
+        [Table("pairs", "The tuned strategies: all pairs", pair_columns(), records, main=True)],
     )
-    return write_page(
+    return write_sections(
         out,
         [section],
-        [picked, tried, pairs],
+        groups=_picked_table(tuned, measure),
+        runs=_tried_table(tuned, measure),
+        template="tuning.html",
         title=f"{' and '.join(strategy_label(t.strategy) for t in tuned)}, each tuned",
         heading="What was tuned",
         facts=f"{sum(len(t.tried) for t in tuned)} settings,"
@@ -104,20 +95,7 @@ def build_page(
             ("judged on", f"seed {judging}"),
             ("objective", f"mean {measure.name}, {'least' if measure.less_is_better else 'most'}"),
         ],
-        groups=picked,
-        runs=tried,
-        method=[
-            "Every strategy was run with every combination of its own parameters and the learning"
-            f" rate. The setting with the best mean {measure.name} was run again with another"
-            " seed, and only those trials are compared: the best of many noisy means looks better"
-            " than it is, and the more so the more settings a strategy has.",
-            "Differences of means, in pairs of trials with the same seed and index, with intervals"
-            " that allow for failures that were not seen, and Holm's correction.",
-        ],
-        limits=[
-            "Whether a setting that was not tried is better.",
-            "How the strategies compare with one common learning rate: each has its own.",
-        ],
+        measure=measure.name,
     )
 
 
@@ -143,16 +121,6 @@ def warnings(tuned: Sequence[Tuned], tuning: int, judging: int) -> list[str]:
     return found
 
 
-def _mean(measure: Measure, outcomes: Outcomes) -> Estimate:
-    sample = measure.of(outcomes)
-    nothing = Estimate(np.nan, np.nan, np.nan)
-    return mean_interval(sample) if len(sample) else nothing
-
-
-def _number(x: float) -> str:
-    return "–" if np.isnan(x) else f"{x:,.4g}".replace("-", "−")
-
-
 def _setting(settings: Settings) -> str:
     return ", ".join(f"{key} = {value:g}" for key, value in settings.items())
 
@@ -161,8 +129,8 @@ def _picked_table(tuned: Sequence[Tuned], measure: Measure) -> Table:
     records = [
         {
             "strategy": strategy_label(t.strategy), "setting": _setting(t.settings),
-            "tried": len(t.tried), "tuning": _mean(measure, t.tried[t.picked][1]).value,
-            **flat({"judging": _mean(measure, t.judged)}),
+            "tried": len(t.tried), "tuning": sample_mean(measure.of(t.tried[t.picked][1])).value,
+            **flat({"judging": sample_mean(measure.of(t.judged))}),
         }
         for t in tuned
     ]  # fmt: skip
@@ -170,7 +138,7 @@ def _picked_table(tuned: Sequence[Tuned], measure: Measure) -> Table:
         Column("strategy", "strategy", lambda r: str(r["strategy"])),
         Column("tried", "settings", lambda r: str(r["tried"]), True),
         Column("setting", "best", lambda r: str(r["setting"])),
-        Column("tuning", f"{measure.name}, tuning seed", lambda r: _number(r["tuning"]), True),
+        Column("tuning", f"{measure.name}, tuning seed", lambda r: figure(r["tuning"]), True),
         Column("judging", f"{measure.name}, judging seed", estimate_cell("judging"), True),
     ]
     return Table("tuned", "The best setting of each strategy", columns, records, main=True)
@@ -179,7 +147,7 @@ def _picked_table(tuned: Sequence[Tuned], measure: Measure) -> Table:
 def _tried_table(tuned: Sequence[Tuned], measure: Measure) -> Table:
     records = [
         {"strategy": strategy_label(t.strategy), **settings, "setting": _setting(settings)}
-        | flat({"mean": _mean(measure, outcomes)})
+        | flat({"mean": sample_mean(measure.of(outcomes))})
         for t in tuned
         for settings, outcomes in t.tried
     ]
@@ -189,32 +157,6 @@ def _tried_table(tuned: Sequence[Tuned], measure: Measure) -> Table:
         Column("mean", f"mean {measure.name}", estimate_cell("mean"), True),
     ]
     return Table("tried", "All settings, on the tuning seed", columns, records)
-
-
-def _pairs_table(table: Sequence[Comparison], labels: Mapping[str, str]) -> Table:
-    columns = [
-        Column("a", "first", lambda r: labels[r["a"]]),
-        Column("b", "second", lambda r: labels[r["b"]]),
-        Column("winner", "better", lambda r: labels.get(r["winner"], "not established")),
-        Column("difference", "first − second", estimate_cell("difference"), True),
-        Column("p_holm", "p (Holm)", lambda r: f"{r['p_holm']:.3f}", True),
-    ]  # fmt: skip
-    return Table("pairs", "The tuned strategies: all pairs", columns, [c.row() for c in table],
-                 main=True)  # fmt: skip
-
-
-def _sentence(c: Comparison, measure: Measure, labels: Mapping[str, str]) -> str:
-    d = c.difference
-    numbers = f"{_number(c.mean_a)} and {_number(c.mean_b)}, difference {_number(d.value)}"
-    numbers += f" [{_number(d.low)}, {_number(d.high)}]"
-    if c.winner is None:
-        return (
-            f"No difference in {measure.name} is established between {labels[c.a]} and"
-            f" {labels[c.b]}, each tuned: {numbers}."
-        )
-    word = "fewer" if measure.less_is_better else "a higher"
-    loser = labels[c.b if c.winner == c.a else c.a]
-    return f"{labels[c.winner]} has {word} {measure.name} than {loser}, each tuned: {numbers}."
 
 
 def _figures(tuned: Sequence[Tuned], measure: Measure) -> Sequence[Picture]:
@@ -230,11 +172,11 @@ def _figures(tuned: Sequence[Tuned], measure: Measure) -> Sequence[Picture]:
         if not lines:
             continue
         with visual_language():
-            figure = new_figure(2.9)
-            ax = figure.subplots()
+            drawn = new_figure(2.9)
+            ax = drawn.subplots()
             for t, look, points in lines:
                 x = np.array([value for value, _ in points])
-                means = [_mean(measure, outcomes) for _, outcomes in points]
+                means = [sample_mean(measure.of(outcomes)) for _, outcomes in points]
                 y, low, high = np.array([(e.value, e.low, e.high) for e in means]).T
                 ax.plot(x, y, color=look.color, ls=look.line, marker=look.marker)
                 finite = np.isfinite(low) & np.isfinite(high)
@@ -250,14 +192,14 @@ def _figures(tuned: Sequence[Tuned], measure: Measure) -> Sequence[Picture]:
             ax.grid()
             plain_numbers(ax.xaxis)
             legend_above(ax, [handle(look, strategy_label(t.strategy)) for t, look, _ in lines], 2)
-            formats = drawn_files(figure)
+            formats = drawn_files(drawn)
         names = ", ".join(strategy_label(t.strategy) for t, *_ in lines)
         found.append(
             Picture(
                 f"sensitivity-{k + 1}",
                 f"Sensitivity to {parameter}",
                 f"Mean {measure.name} on the tuning seed, all other parameters at their best. The"
-                f" ring is the value that was picked. Bands: {PERCENT} intervals.",
+                f" ring is the value that was picked. Bands: {100 * LEVEL:g} % intervals.",
                 f"Mean {measure.name} by {parameter}: {names}",
                 **formats,
             )

@@ -8,7 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trl_explore.report.decomposition import NEAR, QUANTITIES, Decomposition, Parts
-from trl_explore.report.tables import Column, Record, Table, figure, interval, p_value, percent
+from trl_explore.report.tables import (
+    Column,
+    Record,
+    Table,
+    figure,
+    interval,
+    p_value,
+    percent,
+    some,
+)
 from trl_explore.statistics.estimates import Estimate, flat
 
 MOST = 4
@@ -66,19 +75,15 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
     if not parts:
         return ""
     words, said = WORDS[quantity], []
-    parts, rest = _largest(parts)
-    for strategy, p in parts:
+    shown, rest = _largest([pair for pair in parts if not np.isnan(pair[1].bias.value)])
+    unclear = [pair for pair in parts if np.isnan(pair[1].bias.value)]
+    for strategy, p in shown:
         more = "more" if p.gap.value > 0 else words.fewer
         whole = (
             f"the {figure(abs(p.gap.value))} {words.unit} that {strategy} {words.verb} {more} than"
             f" softmax ({figure(p.plain)} against {figure(p.reference)})"
         )
-        if np.isnan(p.bias.value):
-            said.append(
-                f"nothing clear of {strategy}, which hardly differs from softmax"
-                f" ({interval(p.gap)} {words.unit})"
-            )
-        elif p.separable:
+        if p.separable:
             said.append(f"{percent(p.bias)} of {whole}")
         elif odd := _odd(strategy, p, words):
             said.append(f"no share of {whole}: {odd}")
@@ -86,9 +91,19 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
             ways = [(p.corrected, f"removed from {strategy}"), (p.assumed, "added to softmax")]
             low, high = (f"{percent(share)}, {how}," for share, how in sorted(ways, key=_value))
             said.append(f"{low} to {high} of {whole}")
+    none = ""
+    if unclear:
+        size = f" ({interval(unclear[0][1].gap)} {words.unit})" if len(unclear) == 1 else ""
+        none = (
+            f"no share can be estimated for {some([name for name, _ in unclear])}, whose difference"
+            f" to softmax{size} is too uncertain or too small"
+        )
+    start = "Bias: a gradient that treats the actions as if they came from the policy is biased"
+    if not said:
+        return f"{start}; of the {words.name}, {none}."
     return (
-        "Bias: a gradient that treats the actions as if they came from the policy is biased; of the"
-        f" {words.name}, this explains {'; '.join(said)}{rest}."
+        f"{start}; of the {words.name}, this explains {'; '.join(said)}{rest}"
+        f"{'; ' if none else ''}{none}."
     )
 
 
@@ -109,18 +124,19 @@ def _odd(strategy: str, p: Parts, words: Words) -> str:
 def _data_said(found: Sequence[Decomposition]) -> str:
     quantity, parts = chosen_quantity(found, ["learning", "height"])
     words, said = WORDS[quantity], []
-    parts, rest = _largest([(strategy, p) for strategy, p in parts if p.data is not None])
-    for strategy, p in parts:
+    known = [(strategy, p) for strategy, p in parts if p.data is not None]
+    shown, rest = _largest([pair for pair in known if pair[1].told_apart])
+    for strategy, p in shown:
         assert p.data is not None
-        if p.told_apart:
-            more = "more" if p.data.value > 0 else words.fewer
-            low, high = sorted((abs(p.data.low), abs(p.data.high)))
-            size = interval(Estimate(abs(p.data.value), low, high))
-            said.append(f"{strategy} {words.verb} {size} {words.unit} {more} than softmax")
-        else:
-            said.append(
-                f"{strategy} does not differ significantly ({interval(p.data)} {words.unit})"
-            )
+        more = "more" if p.data.value > 0 else words.fewer
+        low, high = sorted((abs(p.data.low), abs(p.data.high)))
+        size = interval(Estimate(abs(p.data.value), low, high))
+        said.append(f"{strategy} {words.verb} {size} {words.unit} {more} than softmax")
+    same = [pair for pair in known if not pair[1].told_apart]
+    if len(same) == 1 and (data := same[0][1].data):
+        said.append(f"{same[0][0]} does not differ significantly ({interval(data)} {words.unit})")
+    elif same:
+        said.append(f"{some([name for name, _ in same])} do not differ significantly from softmax")
     if not said:
         return ""
     return (
@@ -182,15 +198,16 @@ def _main(found: Sequence[Decomposition]) -> Table:
         Column("gap", f"{' or '.join(sorted(times))}: difference to softmax", part(_gap), True),
         Column("bias", "bias: its share", part(_bias), True),
         Column("data", "data: the same, corrected", part(_data), True),
-        Column("passing_bias", "bias: its share by passing",
-               of(lambda d: _bias(d.parts.get("passing"))), True),
         Column("passes", "trials that pass", of(_passes), True),
     ]  # fmt: skip
+    if set(quantity.values()) != {"passing"}:
+        by_passing = of(lambda d: _bias(d.parts.get("passing")))
+        columns.insert(5, Column("passing_bias", "bias: its share by passing", by_passing, True))
     if len({d.environment for d in found}) > 1:
         columns.insert(0, Column("environment", "environment", lambda r: r["environment"]))
     title = "Acting, bias and data: every strategy against softmax"
     records = [_record(d, quantity[d.environment]) for d in found]
-    return Table("why-parts", title, columns, records, main=True)
+    return Table("why-parts", title, columns, records, main=True, kind="cards")
 
 
 def _record(d: Decomposition, quantity: str) -> dict[str, Any]:
@@ -217,7 +234,8 @@ def _acting(d: Decomposition) -> str:
     if a is None:
         return "–"
     lines = f"{figure(a.behaved.value)} and {figure(a.learned.value)}\n{interval(a.handicap)}"
-    return lines if d.acting_share is None else f"{lines}\nshare {percent(d.acting_share)}"
+    known = d.acting_share is not None and not np.isnan(d.acting_share.value)
+    return f"{lines}\nshare {percent(d.acting_share)}" if known else lines
 
 
 def _gap(p: Parts | None) -> str:

@@ -158,7 +158,7 @@ def _draw_panel(
         at = (x + WIDTH // 2, y + 28)
         draw.text(at, text, INK, font(17, bold=True), anchor="mm")
     y += tall + 8
-    draw.text((x, y), f"score {episode.reward[:now].sum():g}", INK, font(17, bold=True))
+    draw.text((x, y), f"score {round(episode.reward[:now].sum(), 1):g}", INK, font(17, bold=True))
     if marked:
         draw.rounded_rectangle((x + WIDTH - 98, y - 1, x + WIDTH - 1, y + 21), 6, fill=MARK)
         draw.text((x + WIDTH - 50, y + 10), "exploratory", "white", font(13), anchor="mm")

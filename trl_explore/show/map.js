@@ -17,7 +17,7 @@
   }
   function same(a, b) { return a.every(function (x, i) { return Math.abs(x - b[i]) < 1e-3; }); }
   function percent(x) { return (x > 0 && x < 0.01 ? (100 * x).toFixed(1) : Math.round(100 * x)) + "\u00a0%"; }
-  function number(x) { return x === null ? "?" : Math.abs(x) >= 100 ? x.toFixed(0) : Math.abs(x) >= 10 ? x.toFixed(1) : x.toFixed(2); }
+  function number(x) { return x === null ? "?" : x === 0 ? "0" : Math.abs(x) >= 100 ? x.toFixed(0) : Math.abs(x) >= 10 ? x.toFixed(1) : x.toFixed(2); }
   function exact(x) { return (100 * x).toFixed(1) + "\u00a0%"; }
   function interval(v, how) { return v ? how(v[0]) + " [" + how(v[1]) + ", " + how(v[2]) + "]" : "cannot be told: training stopped first"; }
 
@@ -177,7 +177,7 @@
       el("line", { x1: 44, x2: 390, y1: y(t[0]), y2: y(t[0]), "class": "grid" }, svg);
       el("text", { x: 38, y: y(t[0]) + 4, "text-anchor": "end" }, svg, t[1]);
     });
-    [0, xMax / 3, 2 * xMax / 3, xMax].forEach(function (v) { el("text", { x: x(v), y: 178, "text-anchor": "middle" }, svg, Math.round(v)); });
+    [0, xMax / 3, 2 * xMax / 3, xMax].forEach(function (v) { el("text", { x: x(v), y: 178, "text-anchor": v === xMax ? "end" : "middle" }, svg, Math.round(v)); });
     el("line", { x1: 44, x2: 390, y1: 160, y2: 160, "class": "axis" }, svg);
     return { x: x, y: y };
   }

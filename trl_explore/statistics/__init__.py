@@ -1,10 +1,9 @@
 """Statistics of trials: pure functions from arrays to estimates.
 
-``estimates``    a number with its interval; proportions with Wilson's and the exact interval
+``estimates``    a number with its interval; of proportions and quantiles
 ``outcomes``     the results of one configuration, by either measure; its times to convergence
 ``samples``      one number per trial: iterations, scores, frames; which kinds of trials are rare
 ``means``        means and their differences, with intervals that allow for unseen failures
-``quantiles``    quantiles with exact intervals, and combinations of them
 ``survival``     right-censored times: Kaplan-Meier, median, log-rank
 ``pairing``      pairs by seed and trial, pooling, shared trials
 ``summary``      all estimates for one configuration

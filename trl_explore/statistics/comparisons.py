@@ -22,14 +22,7 @@ from trl_explore.statistics.survival import logrank_test, probability_faster
 
 @dataclass(frozen=True)
 class Measure:
-    """A quantity in which configurations are compared.
-
-    Attributes:
-        name: ``iterations``, ``score``, ...
-        of: the sample of a configuration.
-        less_is_better: whether the smaller mean is the better one.
-
-    """
+    """A quantity in which configurations are compared, and whether its smaller mean is better."""
 
     name: str
     of: Callable[[Outcomes], Sample]
@@ -45,17 +38,14 @@ SCORE = Measure("score", samples.scores)
 def area(curves: Mapping[str, ArrayLike], name: str = "area under the curve") -> Measure:
     """The area under each trial's curve, divided by its length: the mean of the curve.
 
-    A trial that stopped earlier than others keeps its last value.
-
     Args:
         curves: name of a configuration -> values at equal distances [n_trials, m], in the order of
-            its trials; NaN after a trial stopped.
+            its trials; NaN after a trial stopped, which then keeps its last value.
         name: name of the measure.
 
     >>> a = area({"x": [[1.0, 3.0, np.nan], [2.0, 2.0, 2.0]]})
     >>> held(np.array([[1.0, 3.0, np.nan]])).tolist()
     [[1.0, 3.0, 3.0]]
-
     """
 
     def of(o: Outcomes) -> Sample:
@@ -78,32 +68,23 @@ class Comparison:
     """Comparison of configurations ``a`` and ``b`` in the mean of one measure.
 
     Attributes:
-        a: name of the first configuration.
-        b: name of the second.
-        measure: name of the measure.
-        less_is_better: whether the smaller mean is the better one.
         design: ``paired`` (by seed and trial index, on the common trials), or ``unpaired`` if
             there are no common trials.
-        n_a: number of compared trials of a.
-        n_b: number of compared trials of b.
-        dropped: number of trials of a and b that were left out because they have no partner, or
-            no value.
+        n_a, n_b: number of compared trials.
+        dropped: trials of both that were left out: without a partner, or without a value.
         cap: the common cap, iterations.
-        mean_a: mean of a over the compared trials; of iterations, restricted to the cap.
-        mean_b: the same for b.
-        difference: mean_a - mean_b with interval. In a table of several pairs its level is that of
-            the pair's step in Holm's procedure, so that it excludes zero if and only if the
+        mean_a, mean_b: means over the compared trials; of iterations, restricted to the cap.
+        difference: mean_a - mean_b. In a table of several pairs, the level of its interval is that
+            of the pair's step in Holm's procedure, so that it excludes zero if and only if the
             difference is significant.
         p_value: two-sided test of the difference, the dual of its interval.
         p_holm: ``p_value`` after Holm's correction for all pairs of the table.
-        p_logrank: for iterations, the log-rank test on the same trials, as an additional check; it
-            ignores pairing. Otherwise NaN.
+        p_logrank: the log-rank test of iterations, which ignores pairing; otherwise NaN.
         better: probability that a trial of a does better than one of b; ties count half. Of
             iterations: that a converges first; two trials that do not converge are tied.
         correlation: Pearson's r of the pairs; NaN if undefined.
         variance_ratio: Var(a - b) / (Var a + Var b); below 1 pairing helps. NaN if undefined.
         sd: standard deviation of a paired difference, for the functions of ``power``.
-
     """
 
     a: str
@@ -149,7 +130,6 @@ def compare(
 
     Source: Royston & Parmar (2013) for the restricted mean; Colas et al., A Hitchhiker's Guide
     to Statistical Comparisons of Reinforcement Learning Algorithms (2019) for the tests.
-
     """
     return _compared(a, b, measure, level)[0]
 
@@ -163,7 +143,6 @@ def compare_all(
 
     Raises:
         ValueError: as :func:`compare`; or two configurations with the same name.
-
     """
     names = [c.name for c in configurations]
     if len(set(names)) < len(names):
@@ -182,7 +161,6 @@ def compare_pairs(
 
     Raises:
         ValueError: as :func:`compare`.
-
     """
     table = [_compared(a, b, measure, level) for a, b in pairs]
     p = [comparison.p_value for comparison, _ in table]

@@ -59,7 +59,6 @@ class Cells:
             ValueError: neither cell was measured.
 
         Source: Shapley, A Value for n-Person Games (1953).
-
         """
         if not (paths := self.paths()):
             raise ValueError("the bias needs the assumed or the corrected cell")

@@ -55,19 +55,16 @@ class MeanDifference:
     """mean(a) - mean(b) with its uncertainty.
 
     Attributes:
-        estimate: the difference with its interval.
         p_value: two-sided: the smallest α at which the interval of level 1 - α excludes zero. At
             least 2 / 2ⁿ for n pairs, or 2 over the number of relabellings: no test without an
             assumption on the distribution can give less.
         n: number of pairs; if unpaired, the smaller sample size.
-        paired: whether there are common trials.
         sd: standard deviation of a paired difference, or √(s_a² + s_b²) if unpaired; in both
             designs the standard error with n trials each is about sd / √n.
         correlation: Pearson's r of the pairs; NaN if unpaired or without variance.
         variance_ratio: Var(a - b) / (Var a + Var b); a value below 1 means that pairing increases
             precision like 1 / ratio times the trials. NaN as for the correlation.
         at: level -> the estimate with its interval at that level.
-
     """
 
     estimate: Estimate
@@ -92,7 +89,6 @@ def mean_interval(sample: Sample, *, level: float = LEVEL) -> Estimate:
     >>> e = mean_interval(Sample.of([100.0] * 30, [False] * 30, least=1000.0, most=1000.0))
     >>> e.value, e.low, round(e.high)
     (100.0, 100.0, 202)
-
     """
     check_level(level)
     if len(sample) == 0:
@@ -191,7 +187,6 @@ def time_per_success(times: Sample, *, level: float = LEVEL) -> Estimate:
 
     >>> time_per_success(Sample.of([100, 300], [False, True], least=300, most=300)).value
     400.0
-
     """
     check_level(level)
     n, passed = len(times), times.values[times.converged]
@@ -222,7 +217,6 @@ def mean_difference(a: Sample, b: Sample, *, level: float = LEVEL) -> MeanDiffer
     >>> d = mean_difference(a, b)
     >>> round(d.estimate.value, 2), d.sign(), d.n
     (-1.43, -1, 7)
-
     """
     check_level(level)
     a, b, paired = common_trials(a, b)

@@ -30,38 +30,29 @@ class Outcomes:
     the cap, regardless of the iteration in which it stopped.
 
     What stopped a trial (``converged``) depends on ``stop_on``. What it did while it explored
-    (``passed``) and what it learned (``learned``) are recorded beside it; :func:`judged` turns one
-    of the two into ``converged``.
+    (``passed``) and what it learned (``learned``) are recorded beside it, or are None;
+    :func:`judged` turns one of the two into ``converged``.
 
     Attributes:
         name: the name of the job folder, unique within a sweep.
-        experiment: the sweep it belongs to (``thesis``, ``epsilon_grid``, ...).
-        strategy: the name of the strategy (``softmax``, ``epsilon_greedy``, ...).
-        parameters: the parameters of the strategy (``{"epsilon": 0.3}``).
+        experiment: the sweep it belongs to.
         config: the whole resolved configuration of the job.
-        cap: ``max_iterations`` [iterations].
+        cap: ``max_iterations``.
         threshold: the score above which a trial has passed, or learned.
         window: the number of episodes that the final score averages over.
-        trial: trial index, int64.
-        seed: seed of the job, int64.
-        iterations: number of iterations until the trial stopped, int64.
-        converged: whether the stopping rule was met, bool.
-        score: final score, float64.
-        frames: environment steps until the trial stopped, int64.
-        seconds: wall time from the start of the trial's batch until it stopped, float64.
+        iterations: until the trial stopped.
+        score: final score.
+        frames: environment steps until the trial stopped.
+        seconds: wall time from the start of the trial's batch until it stopped.
         status: ``converged``, ``capped`` or ``diverged``; in the result of :func:`judged` also
             ``stopped``, by the rule of the other measure.
-        passed: whether the mean of a full window of training scores ever exceeded the threshold,
-            bool; None: unknown.
-        iterations_to_pass: iterations until then, or all that were trained, int64 or None.
-        frames_to_pass: training frames until then, or all, int64 or None.
-        learned: whether the trial has learned (see ``statistics.learning``), bool; None: the job
-            has no evaluations.
+        passed: whether the mean of a full window of training scores ever exceeded the threshold.
+        iterations_to_pass, frames_to_pass: until then, or all that were trained.
+        learned: whether the trial has learned (see ``statistics.learning``).
         iterations_to_learn: the iteration of the evaluation at which it had learned (0: before its
-            first update), or of the last one, int64 or None.
-        frames_to_learn: training frames until then, int64 or None.
-        learned_score: mean score of the final policy without the strategy, on episodes of its own,
-            float64 or None.
+            first update), or of the last one.
+        frames_to_learn: training frames until then.
+        learned_score: mean score of the final policy without the strategy, on episodes of its own.
         measure: ``passed`` or ``learned`` if :func:`judged` made these outcomes, else empty.
     """
 
@@ -208,7 +199,6 @@ def convergence_times(
             before it without converging or diverging (unfinished job).
 
     Source: Putter, Fiocco & Geskus, Statistics in Medicine 26 (2007), §3.
-
     """
     if unit not in ("iterations", "frames"):
         raise ValueError(f"unit={unit!r}: iterations or frames are possible")

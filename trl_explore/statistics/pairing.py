@@ -135,7 +135,6 @@ def pool(jobs: Sequence[Outcomes]) -> Outcomes:
 
     Raises:
         ValueError: no job; jobs of different configurations or stopping rules; shared trials.
-
     """
     if not jobs:
         raise ValueError("0 jobs: at least one is needed to pool")

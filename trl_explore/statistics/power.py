@@ -35,7 +35,6 @@ def detectable_difference(
 
     >>> round(float(detectable_difference(100.0, 30)), 1)
     51.1
-
     """
     n_pairs = np.asarray(n, dtype=np.float64)
     if (n_pairs < 1).any() or not sd >= 0:
@@ -55,7 +54,6 @@ def trials_for_difference(
 
     >>> trials_for_difference(100.0, 50.0)
     32
-
     """
     z = sum(_z(power, level))
     if not (math.isfinite(sd) and math.isfinite(difference)) or difference == 0:
@@ -127,7 +125,6 @@ def trials_for_rate_bound(
 
     >>> trials_for_rate_bound(0.0, 0.05)
     73
-
     """
     for p in (rate, bound):
         if not 0.0 <= p <= 1.0:

@@ -22,9 +22,8 @@ class Kind:
 
     Attributes:
         members: whether each trial is of this kind, [n].
-        least: smallest value that such a trial can have, known before one is seen.
-        most: largest value, equal to ``least`` if the value is known; infinite: unknown.
-
+        least, most: bounds of the value of such a trial, known before one is seen; equal if the
+            value is known, infinite if nothing is.
     """
 
     members: NDArray[np.bool_]
@@ -43,7 +42,6 @@ class Sample:
         converged: whether each trial converged, [n].
         keys: (seed, trial) of each value; equal keys form pairs.
         kinds: the rare kinds, the failed trials first; empty: all trials are of one kind.
-
     """
 
     label: str
@@ -134,7 +132,6 @@ def iterations(o: Outcomes, label: str = "") -> Sample:
 
     Raises:
         ValueError: an unfinished job (see ``convergence_times``).
-
     """
     durations, converged = convergence_times(o)
     least = float(durations[~converged].min(initial=o.cap))

@@ -42,8 +42,6 @@ class Verdict:
     """What is known of one pair of configurations.
 
     Attributes:
-        a: name of the first configuration.
-        b: name of the second.
         result: ``a`` or ``b``: which mean is greater; ``equal``: within the margin; ``open``.
         difference: mean(a) - mean(b), with the interval of the look that decided, or the last one.
         trials: trials of each of the two at that look.

@@ -25,13 +25,10 @@ class ScoreSummary:
     """Distribution of the final scores of one configuration.
 
     Attributes:
-        n: trials with a finite score.
-        missing: trials without a finite score (they diverged before they had one), not included.
-        mean: mean with interval.
-        iqm: interquartile mean with interval.
+        n: trials with a finite score; ``missing`` others diverged before they had one.
+        mean, iqm: mean and interquartile mean.
         sd: standard deviation (n - 1); NaN for one trial.
         quantiles: quantiles [5] at the probabilities ``QUANTILES``, by linear interpolation.
-
     """
 
     n: int
@@ -53,7 +50,6 @@ def interquartile_mean(values: ArrayLike, *, level: float = LEVEL) -> Estimate:
 
     >>> interquartile_mean([0.0, 2.0, 4.0, 1000.0]).value
     3.0
-
     """
     check_level(level)
     x = np.asarray(values, dtype=np.float64)
@@ -94,26 +90,18 @@ def summarise_scores(
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """The statistics of one configuration.
+    """The statistics of one configuration; diverged trials count as never converging.
 
     Attributes:
-        name: name of the configuration.
-        experiment: name of the experiment.
-        strategy: name of the strategy.
-        parameters: parameters of the strategy.
-        n: number of trials.
-        converged: number of trials that converged.
-        diverged: number of trials that diverged; all statistics count them as never converging.
-        cap: maximum number of iterations.
-        pass_rate: share of trials that converged, with Wilson interval.
+        n, converged, diverged: numbers of trials.
+        pass_rate: share of trials that converged, with Wilson's interval.
         median: Kaplan-Meier median of iterations; ``inf``: not reached.
         restricted_mean: E[min(T, cap)], iterations.
         expected_running_time: iterations per success with restarts; ``inf``: none converged.
         score: distribution of the final scores.
         frames_median: median frames to convergence; ``inf``: not reached.
-        frames_mean: mean frames until a trial stopped, converged or not, with interval.
+        frames_mean: mean frames until a trial stopped, converged or not.
         frames_total: total frames of all trials.
-
     """
 
     name: str
@@ -154,7 +142,6 @@ def summarise(outcomes: Outcomes, *, level: float = LEVEL) -> Summary:
 
     Raises:
         ValueError: no trials, or an unfinished job (see ``convergence_times``).
-
     """
     durations, converged = convergence_times(outcomes)
     times = samples.iterations(outcomes)

@@ -33,15 +33,10 @@ class SurvivalCurve:
     horizon, in increasing order. Ŝ is constant from ``times[i]`` up to ``times[i + 1]``.
 
     Attributes:
-        times: in the unit of the durations.
-        survival: Ŝ(times), in [0, 1].
-        low: lower end of the pointwise interval.
-        high: upper end of the pointwise interval.
+        survival: Ŝ(times), in [0, 1]; ``low`` and ``high`` are its pointwise interval.
         at_risk: trials that have neither converged nor been censored before each time.
         events: trials that converged at each time.
         n: number of trials.
-        level: confidence level of the interval.
-
     """
 
     times: NDArray[np.float64]
@@ -81,7 +76,6 @@ def kaplan_meier(
 
     >>> kaplan_meier([1, 2, 3, 3], [True, True, True, False]).survival
     array([1.  , 0.75, 0.5 , 0.25])
-
     """
     check_level(level)
     t, e = _check(durations, converged)
@@ -127,7 +121,6 @@ def median_time(curve: SurvivalCurve) -> Estimate:
 
     >>> median_time(kaplan_meier([1, 2, 3], [True, True, True])).value
     2.0
-
     """
     value, low, high = (
         float(curve.times[np.argmax(reached)]) if reached.any() else np.inf
@@ -143,7 +136,6 @@ def logrank_test(t_a: ArrayLike, e_a: ArrayLike, t_b: ArrayLike, e_b: ArrayLike)
     trial converged in either sample, the curves are equal (constant) and p = 1.
 
     Source: Mantel, Cancer Chemotherapy Reports 50 (1966); ``scipy.stats.logrank``.
-
     """
     t = [np.asarray(x, dtype=np.float64) for x in (t_a, t_b)]
     e = [np.asarray(x, dtype=bool) for x in (e_a, e_b)]
@@ -178,7 +170,6 @@ def probability_faster(
 
     >>> probability_faster([1, 9], [1, 0], [2, 9], [1, 0], paired=True).value
     0.75
-
     """
     a = np.where(np.asarray(e_a, dtype=bool), t_a, np.inf)
     b = np.where(np.asarray(e_b, dtype=bool), t_b, np.inf)

@@ -3,13 +3,17 @@
 from trl_explore.strategies.continuous import ContinuousStrategy
 from trl_explore.strategies.count_bonus import CountBonus
 from trl_explore.strategies.discrete import Strategy, inverse_cdf
-from trl_explore.strategies.epsilon_greedy import (
+from trl_explore.strategies.epsilon_z_greedy import EpsilonZGreedy
+from trl_explore.strategies.family import (
     Argmax,
     DecayingEpsilonGreedy,
     EpsilonGreedy,
+    EpsilonSoftmax,
+    FullMixture,
+    MaxBoltzmann,
     Random,
+    Softmax,
 )
-from trl_explore.strategies.epsilon_z_greedy import EpsilonZGreedy
 from trl_explore.strategies.gaussian import (
     ContinuousMixture,
     ContinuousMixtureStrategy,
@@ -21,7 +25,6 @@ from trl_explore.strategies.gaussian import (
 )
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy, mixture_probs
 from trl_explore.strategies.parameter_noise import ParameterNoise
-from trl_explore.strategies.softmax import EpsilonSoftmax, FullMixture, MaxBoltzmann, Softmax
 from trl_explore.strategies.strategy import BaseStrategy
 from trl_explore.strategies.vdbe import VDBE
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import cast
+from typing import Unpack, cast
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -14,7 +14,7 @@ from torchrl.data.tensor_specs import ContinuousBox
 
 from trl_explore.checks import check_flag
 from trl_explore.strategies.frames import read
-from trl_explore.strategies.strategy import BaseStrategy, exploring
+from trl_explore.strategies.strategy import BaseStrategy, Keys, exploring
 
 SATURATED = 1 - 2**-20
 """The largest tanh, so that an action rounded to float32 is within the box and has a density."""
@@ -44,14 +44,8 @@ class ContinuousStrategy(BaseStrategy):
         loc_key: the entry with the mean of π.
         scale_key: the entry with the standard deviation of π.
         squashed: whether π is a ``TanhNormal``.
-        action_key: the entry to write the action to.
-        log_prob_key: the entry to write the log density to; None: beside the action, with the
-            suffix "_log_prob".
-        noise_key: the entry with uniform numbers in [0, 1) that decide the draw [*batch,
-            n_dims + 1], one per action dimension, and one more; None: there is none, except from
-            a collector of this package.
-        trial_key: the entry with the trial of each frame [*batch]; read only if a parameter differs
-            between trials.
+        keys: the keys of ``BaseStrategy``; the noise is [*batch, n_dims + 1], one number per action
+            dimension, and one more.
 
     Raises:
         ValueError: if the spec is of another kind.
@@ -72,18 +66,9 @@ class ContinuousStrategy(BaseStrategy):
         loc_key: NestedKey = "loc",
         scale_key: NestedKey = "scale",
         squashed: bool = False,
-        action_key: NestedKey = "action",
-        log_prob_key: NestedKey | None = None,
-        noise_key: NestedKey | None = None,
-        trial_key: NestedKey = "trial",
+        **keys: Unpack[Keys],
     ) -> None:
-        super().__init__(
-            [loc_key, scale_key] if self.scaled else [loc_key],
-            action_key=action_key,
-            log_prob_key=log_prob_key,
-            noise_key=noise_key,
-            trial_key=trial_key,
-        )
+        super().__init__([loc_key, scale_key] if self.scaled else [loc_key], **keys)
         self.loc_key, self.scale_key = loc_key, scale_key
         self.squashed = check_flag("squashed", squashed)
         self.register_buffer("low", None, persistent=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from trl_explore.checks import check_integer
 from trl_explore.numerics.layers import lane_linear, plain_lane_linear
 from trl_explore.numerics.streams import Stream, generator
+from trl_explore.strategies.discrete import Options
 from trl_explore.strategies.frames import padding_mask, read, rows
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
 from trl_explore.strategies.schedules import Parameter
@@ -170,7 +171,7 @@ class CountBonus(MixtureStrategy):
         temperature: Parameter = 1.0,
         bits: int = 12,
         observation_key: NestedKey = "observation",
-        **options: Any,
+        **options: Unpack[Options],
     ) -> None:
         super().__init__(**options)
         self.follow("beta", beta)

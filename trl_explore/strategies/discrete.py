@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, cast
+from typing import Any, Unpack, cast
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -13,7 +13,16 @@ from torch._C._functorch import is_batchedtensor
 from torchrl.data import Categorical, MultiCategorical, MultiOneHot, OneHot, TensorSpec
 
 from trl_explore.strategies.frames import read
-from trl_explore.strategies.strategy import BELOW_ONE, BaseStrategy, exploring
+from trl_explore.strategies.strategy import BELOW_ONE, BaseStrategy, Keys, exploring
+
+
+class Options(Keys, total=False):
+    """The arguments of ``Strategy``, which every strategy over n actions takes too."""
+
+    spec: TensorSpec | None
+    logits_key: NestedKey
+    action_mask_key: NestedKey | None
+    validate_args: bool
 
 
 class Strategy(BaseStrategy):
@@ -42,16 +51,11 @@ class Strategy(BaseStrategy):
         spec: the action spec (``Categorical``, ``OneHot``, ``MultiCategorical`` or ``MultiOneHot``,
             possibly in a ``Composite``); None: actions are indices.
         logits_key: the entry with the preferences.
-        action_key: the entry to write the action to.
         action_mask_key: the entry with the mask; None: "action_mask" in the group of the action.
-        log_prob_key: the entry to write the log-probability to; None: beside the action, with the
-            suffix "_log_prob".
-        noise_key: the entry with uniform numbers in [0, 1) that decide the draw ([*batch], or
-            [*batch, heads]); None: there is none, except from a collector of this package.
-        trial_key: the entry with the trial of each frame [*batch]; read only if a parameter or the
-            state differs between trials.
         validate_args: whether to check that every state has an allowed action with a finite logit.
             In compiled code and on a GPU the check is ``torch._assert_async``.
+        keys: ``action_key``, ``log_prob_key``, ``noise_key`` ([*batch], or [*batch, heads]) and
+            ``trial_key``, as in ``BaseStrategy``.
 
     Raises:
         ValueError: if the spec is of another kind, or a state has no action to draw.
@@ -65,20 +69,11 @@ class Strategy(BaseStrategy):
         *,
         spec: TensorSpec | None = None,
         logits_key: NestedKey = "logits",
-        action_key: NestedKey = "action",
         action_mask_key: NestedKey | None = None,
-        log_prob_key: NestedKey | None = None,
-        noise_key: NestedKey | None = None,
-        trial_key: NestedKey = "trial",
         validate_args: bool = True,
+        **keys: Unpack[Keys],
     ) -> None:
-        super().__init__(
-            [logits_key],
-            action_key=action_key,
-            log_prob_key=log_prob_key,
-            noise_key=noise_key,
-            trial_key=trial_key,
-        )
+        super().__init__([logits_key], **keys)
         self.logits_key, self.validate_args = logits_key, validate_args
         self.action_mask_key = action_mask_key or self._beside("action_mask")
         self.spec = None if spec is None else self._leaf(spec)
@@ -190,8 +185,8 @@ class Strategy(BaseStrategy):
         cdf = probs.cumsum(dim, dtype=torch.float64)
         total = cdf.select(dim, -1)
         self._check(total, 0.0, logits, tensordict)
-        action = (cdf <= (noise * total).unsqueeze(dim)).sum(dim, keepdim=True)  # 0 for NaN
-        return action.squeeze(dim), probs.gather(dim, action).squeeze(dim)
+        action = (cdf <= (noise * total).unsqueeze(dim)).sum(dim)  # 0 for NaN
+        return action, probs.gather(dim, action.unsqueeze(dim)).select(dim, 0)
 
     def _check(self, found: Tensor, low: float, logits: Tensor, tensordict: TensorDictBase) -> None:
         """Refuse a state without an action to draw, whose ``found`` is not above ``low``."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 import torch
@@ -11,7 +11,7 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
 from trl_explore.checks import check_integer, check_number
-from trl_explore.strategies.discrete import Strategy
+from trl_explore.strategies.discrete import Options, Strategy
 from trl_explore.strategies.frames import FirstFrames, rows
 from trl_explore.strategies.mixture import Mixture, mixture_probs
 from trl_explore.strategies.schedules import Parameter
@@ -71,7 +71,7 @@ class EpsilonZGreedy(Strategy):
         mu: float = 2.0,
         max_duration: int = 10_000,
         is_init_key: NestedKey = "is_init",
-        **options: Any,
+        **options: Unpack[Options],
     ) -> None:
         super().__init__(**options)
         self.follow("epsilon", epsilon, 0, 1)

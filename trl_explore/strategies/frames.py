@@ -110,5 +110,7 @@ class FirstFrames:
         for mark in marks:
             if mark.ndim > tensordict.batch_dims and mark.shape[-1] == 1:
                 mark = mark.squeeze(-1)
+            if mark.ndim > len(batch):  # the agents of one lane
+                mark = mark.flatten(len(batch)).any(-1)
             found = found | mark.reshape(mark.shape + (1,) * (len(batch) - mark.ndim))
         return found

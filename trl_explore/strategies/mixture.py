@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
-from functools import reduce
-from operator import add
 from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
@@ -158,16 +156,11 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
         >>> mixture_probs(torch.tensor([0.0, 4.0, -1.0, 4.0]), Mixture(greedy=0.8, uniform=0.2))
         tensor([0.0500, 0.4500, 0.0500, 0.4500])
     """
-    terms: list[Any] = []
     limits = torch.finfo(logits.dtype)
     soft, uniform = present(mixture.softmax), present(mixture.uniform)
     if not soft:
         logits = actions_outermost(logits)
-    largest = logits.amax(-1, keepdim=True)
-    if present(mixture.greedy):
-        # A row of −∞ has no best action; the other parts find that by themselves.
-        floor = largest if soft or uniform else largest.clamp(min=limits.min)
-        terms.append(_share(logits >= floor, logits.dtype, mixture.greedy))
+    largest, found = logits.amax(-1, keepdim=True), None
     if soft:
         # To avoid overflow, subtract the maximum first and keep T within the dtype's range.
         exponent, temperature = logits - largest, mixture.temperature
@@ -175,34 +168,38 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
             exponent = exponent / temperature.clamp(limits.tiny, limits.max)
         elif temperature != 1:
             exponent = exponent / min(max(float(temperature), limits.tiny), limits.max)
-        if exponent.stride(-1) == 1:
-            soft_max = torch.softmax(exponent, -1)
-        else:  # torch's softmax would copy
-            soft_max = exponent.exp()
-            soft_max = soft_max / soft_max.sum(-1, keepdim=True)
-        alone = is_one(mixture.softmax)
-        terms.append(soft_max if alone else soft_max * cast(Tensor, mixture.softmax))
-    if uniform:
-        terms.append(_uniform(logits, mixture.uniform))
-    found = reduce(add, terms)
-    return found if isinstance(found, Tensor) else torch.full_like(logits, found)
+        power = exponent.exp()
+        found = power / power.sum(-1, keepdim=True)
+        found = found if is_one(mixture.softmax) else found * cast(Tensor, mixture.softmax)
+    if present(mixture.greedy):
+        # A row of −∞ has no best action; the other parts find that by themselves.
+        floor = largest if soft or uniform else largest.clamp(min=limits.min)
+        found = _plus_share(found, logits >= floor, logits.dtype, mixture.greedy)
+    if not uniform:
+        return torch.zeros_like(logits) if found is None else found
+    each = _number_of_all(logits, mixture.uniform)
+    if each is None:
+        return _plus_share(found, logits >= limits.min, logits.dtype, mixture.uniform)
+    return torch.full_like(logits, each) if found is None else found + each
 
 
-def _uniform(logits: Tensor, weight: Value | Tensor) -> Tensor | float:
-    """A weight shared by the actions of logit above −∞; one number for all if no logit is −∞."""
-    lowest = torch.finfo(logits.dtype).min
+def _number_of_all(logits: Tensor, weight: Value | Tensor) -> float | None:
+    """Each action's part of a weight that all share; None if a logit is −∞ or cannot be read."""
     plain = isinstance(weight, float) and logits.numel() > 0 and readable(logits)
-    if plain and logits.amin().item() >= lowest:
-        number = np.float32 if logits.dtype is torch.float32 else np.float64
-        return float(number(1) / number(logits.shape[-1]) * number(weight))
-    return _share(logits >= lowest, logits.dtype, weight)
+    if not plain or logits.amin().item() < torch.finfo(logits.dtype).min:
+        return None
+    number = np.float32 if logits.dtype is torch.float32 else np.float64
+    return float(number(1) / number(logits.shape[-1]) * number(weight))
 
 
-def _share(members: Tensor, dtype: torch.dtype, weight: Value | Tensor) -> Tensor:
-    """A weight shared equally by some of the actions."""
-    share = members.to(dtype)
+def _plus_share(
+    found: Tensor | None, members: Tensor, dtype: torch.dtype, weight: Value | Tensor
+) -> Tensor:
+    """``found`` plus a weight that some of the actions share equally."""
+    share = members.type(dtype)
     each = share.sum(-1, keepdim=True).reciprocal()
-    return share * (each if is_one(weight) else each * cast(Tensor, weight))
+    each = each if is_one(weight) else each * cast(Tensor, weight)
+    return share * each if found is None else torch.addcmul(found, share, each)
 
 
 def numbers(values: Iterable[Value | Tensor]) -> list[Value]:

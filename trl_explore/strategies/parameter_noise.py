@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from torch.func import functional_call
 from trl_explore.checks import check_number
 from trl_explore.numerics.score import lane_sum
 from trl_explore.numerics.streams import Stream, generator
+from trl_explore.strategies.discrete import Options
 from trl_explore.strategies.frames import FirstFrames
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
 from trl_explore.strategies.schedules import Parameter
@@ -69,7 +70,7 @@ class ParameterNoise(MixtureStrategy):
         threshold: float | None = 0.1,
         factor: float = 1.01,
         is_init_key: NestedKey = "is_init",
-        **options: Any,
+        **options: Unpack[Options],
     ) -> None:
         super().__init__(**options)
         self.follow("sigma", sigma)

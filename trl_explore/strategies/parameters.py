@@ -77,7 +77,8 @@ class Parametrised(TensorDictModuleBase):
 
         Arithmetic with Python numbers takes a fraction of the time of that with the buffer.
         """
-        buffer = getattr(self, name)
+        buffer = self._buffers[name]
+        assert buffer is not None
         return buffer if buffer.ndim or not readable(buffer) else buffer.item()
 
     def _value(self, name: str) -> Value:

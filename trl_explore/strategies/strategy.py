@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypedDict
 
 import numpy as np
 import torch
@@ -21,6 +21,15 @@ from trl_explore.strategies.schedules import Constant
 
 BELOW_ONE = 1 - 2**-53
 """The largest number below 1, and the largest noise: its product with a sum is below the sum."""
+
+
+class Keys(TypedDict, total=False):
+    """The arguments of ``BaseStrategy``, which every strategy takes too."""
+
+    action_key: NestedKey
+    log_prob_key: NestedKey | None
+    noise_key: NestedKey | None
+    trial_key: NestedKey
 
 
 class BaseStrategy(Parametrised):
@@ -49,10 +58,13 @@ class BaseStrategy(Parametrised):
 
     Args:
         in_keys: the entries to read.
-        action_key: see ``Strategy``, as the other keys.
-        log_prob_key: None: beside the action, with the suffix "_log_prob".
-        noise_key: None: there is none, except from a collector of this package.
-        trial_key: read only if a parameter or the state differs between trials.
+        action_key: the entry to write the action to.
+        log_prob_key: the entry to write the log-probability to; None: beside the action, with the
+            suffix "_log_prob".
+        noise_key: the entry with uniform numbers in [0, 1) that decide the draw ([*batch], or
+            [*batch, noise_size]); None: there is none, except from a collector of this package.
+        trial_key: the entry with the trial of each frame [*batch]; read only if a parameter or the
+            state differs between trials.
     """
 
     actions: ClassVar[str]
@@ -71,10 +83,10 @@ class BaseStrategy(Parametrised):
         self,
         in_keys: Sequence[NestedKey],
         *,
-        action_key: NestedKey,
-        log_prob_key: NestedKey | None,
-        noise_key: NestedKey | None,
-        trial_key: NestedKey,
+        action_key: NestedKey = "action",
+        log_prob_key: NestedKey | None = None,
+        noise_key: NestedKey | None = None,
+        trial_key: NestedKey = "trial",
     ) -> None:
         super().__init__(trial_key)
         workers.watch(self)

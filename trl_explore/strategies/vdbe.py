@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Unpack
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from trl_explore.checks import check_number
+from trl_explore.strategies.discrete import Options
 from trl_explore.strategies.frames import read, readable
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
 
@@ -66,7 +67,7 @@ class VDBE(MixtureStrategy):
         delta: float = 0.5,
         step_size: float = 0.1,
         score_key: NestedKey = "episode_reward",
-        **options: Any,
+        **options: Unpack[Options],
     ) -> None:
         super().__init__(**options)
         self.initial = check_number("initial", initial, 0, 1)
@@ -101,9 +102,8 @@ class VDBE(MixtureStrategy):
         super().step(frames)
         if not isinstance(frames, TensorDictBase):
             return
-        after = frames.get("next")
-        done = after.get("done").reshape(-1)
-        scores = read(after, self.score_key).reshape(-1)[done].tolist()
+        done = read(frames, ("next", "done")).reshape(-1)
+        scores = read(frames, unravel_key(("next", self.score_key))).reshape(-1)[done].tolist()
         trial = self._trial(frames)
         trials = [0] * len(scores) if trial is None else trial.reshape(-1)[done].tolist()
         own: dict[int, list[float]] = {}

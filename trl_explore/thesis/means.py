@@ -41,7 +41,6 @@ def least(strategy: str, *others: str, converging: bool = False) -> UnitDecision
         strategy: its name.
         others: names of the others; none: all of the study.
         converging: use only trials that converge, and strategies with at least one.
-
     """
 
     def decide(study: Study, unit: Unit) -> Finding:

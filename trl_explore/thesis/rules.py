@@ -28,11 +28,10 @@ from typing import Literal
 
 import numpy as np
 
-from trl_explore.statistics.estimates import Estimate, decimals, exact_rate
+from trl_explore.statistics.estimates import Estimate, combination, decimals, exact_rate
 from trl_explore.statistics.means import mean_difference, mean_interval
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.power import trials_for_rate_bound, trials_to_settle
-from trl_explore.statistics.quantiles import combination
 from trl_explore.statistics.samples import Sample
 from trl_explore.thesis.study import NotMeasuredError, Study, Unit
 
@@ -52,17 +51,11 @@ VERDICTS: tuple[Verdict, ...] = (HOLDS, FAILS, OPEN, NOT_MEASURED)
 
 @dataclass(frozen=True)
 class Finding:
-    """The verdict on a claim.
+    """The verdict on a claim, and the numbers, intervals and tests that lead to it.
 
-    Attributes:
-        verdict: ``holds``, ``does not hold``, ``open`` (these data decide neither), or
-            ``not measured``.
-        evidence: the numbers, intervals and tests that lead to the verdict.
-        trials_needed: for an open claim, trials per configuration that would settle it with
-            80 % power if the current estimates were exact; ``inf``: more than can be run; None if
-            the estimates are too uncertain to say. For claims about the trials that converge, only
-            those are counted.
-
+    ``trials_needed``: for an open claim, trials per configuration that would settle it with 80 %
+    power if the current estimates were exact; ``inf``: more than can be run; None if the estimates
+    are too uncertain to say. For claims about the trials that converge, only those are counted.
     """
 
     verdict: Verdict

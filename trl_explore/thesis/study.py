@@ -52,14 +52,12 @@ class Study:
     Attributes:
         outcomes: one entry per job, of any experiments.
         seconds: wall time of trials run alone, ``experiment/name`` -> array [n].
-        timed_trials: ``experiment/name`` -> trial index of each entry of ``seconds`` [n]; by
-            default, the first n trials of the configuration, in order.
+        timed_trials: the trial index of each of them [n]; by default, the first n trials.
         level: confidence level of every verdict.
         strategies: the strategies meant by claims about all strategies.
         places: name of an experiment -> name of the experiment that replaces it.
         measure: ``passed``, what a trial did while it explored, or ``learned``, what its policy
             does without the strategy (see :meth:`judged`).
-
     """
 
     outcomes: Sequence[Outcomes]
@@ -115,11 +113,10 @@ class Study:
         return replace(self, outcomes=chosen, strategies=strategies, places=places)
 
     def experiment(self, name: str) -> list[Outcomes]:
-        """List the jobs of an experiment; trials that two jobs share count once.
+        """The jobs of an experiment; trials that two jobs share count once.
 
         Raises:
             NotMeasuredError: there are no jobs, or a job contains a trial twice.
-
         """
         name = self.places.get(name, name)
         if name not in self._found:
@@ -141,7 +138,6 @@ class Study:
 
         Raises:
             NotMeasuredError: it was not run, or only with other parameters or conditions.
-
         """
         called = strategy_label(name)
         jobs = [o for o in self.experiment(experiment) if o.strategy == name]
@@ -161,7 +157,6 @@ class Study:
 
         Raises:
             NotMeasuredError: the experiment is missing, or an option has several configurations.
-
         """
         by_name: dict[str, list[Outcomes]] = {name: [] for name in OPTIONS[group]}
         for o in self.experiment(experiment):
@@ -179,7 +174,6 @@ class Study:
 
         Raises:
             NotMeasuredError: the experiment is missing, or a value has several configurations.
-
         """
         by_value: dict[float, list[Outcomes]] = {}
         for job in self.experiment(experiment):
@@ -200,7 +194,6 @@ class Study:
         Raises:
             NotMeasuredError: seconds were not measured or do not match the trials; or a trial has
                 no score.
-
         """
         name = label or strategy_label(outcomes.strategy)
         if unit == "iterations":

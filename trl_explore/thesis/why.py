@@ -70,7 +70,6 @@ def reexamine(study: Study) -> list[Reexamined]:
 
     Args:
         study: study with the experiments ``corrections`` and ``corrections_temperature``.
-
     """
     without, under = (check_claims(study.under(name), CONCLUSIONS) for name in (PLAIN, RATIO))
     return [Reexamined(a.claim, a.finding, b.finding) for a, b in zip(without, under, strict=True)]
@@ -158,58 +157,34 @@ def _need(jobs: dict[str, Outcomes], name: str, strategy: str) -> Outcomes:
 
 
 CLAIMS = (
-    Claim(
-        id="why.epsilon_greedy_mostly_bias",
-        statement="Most of the extra iterations of ε-greedy over softmax come from the bias of its"
-        " gradient, not from its exploration.",
-        place="experiment corrections",
-        definition="The per-step ratio removes more than half of the mean excess of its iterations"
-        " over those of softmax (restricted to the cap, same seed and trial; Fieller’s interval of"
-        " the share).",
-        decide=mostly_bias("epsilon_greedy"),
-    ),
-    Claim(
-        id="why.decaying_mostly_bias",
-        statement="Most of the extra iterations of decaying ε-greedy over softmax come from the"
-        " bias of its gradient.",
-        place="experiment corrections",
-        definition="As for ε-greedy.",
-        decide=mostly_bias("decaying_epsilon_greedy"),
-    ),
-    Claim(
-        id="why.argmax_beyond_repair",
-        statement="No correction makes argmax pass almost every time.",
-        place="experiment corrections",
-        definition="Argmax passes in less than 80 % of trials under every correction (exact"
-        " intervals).",
-        decide=argmax_beyond_repair,
-    ),
-    Claim(
-        id="why.variance_costs_more",
-        statement="Removing the bias entirely costs more than it gains: with per-decision or"
-        " trajectory weights, both ε-greedy strategies take longer than with the per-step ratio.",
-        place="experiment corrections",
-        definition="The mean number of iterations, restricted to the cap, is smaller with the"
-        " per-step ratio than with either kind of unbiased weights, for both strategies (interval"
-        " of the paired difference).",
-        decide=variance_costs_more,
-    ),
-    Claim(
-        id="why.hot_softmax_repaired",
-        statement="Softmax at temperature 1.5 never passes without correction, and passes"
-        " consistently with the per-step ratio.",
-        place="experiment corrections_temperature",
-        definition="Without correction, fewer than 1 % of trials pass. With the ratio, more than"
-        " 90 % pass (exact intervals).",
-        decide=hot_softmax_repaired,
-    ),
-    Claim(
-        id="why.every_temperature_serves",
-        statement="With the gradient of μ, softmax passes consistently at every temperature"
-        " of the grid.",
-        place="experiment corrections_temperature",
-        definition="More than 90 % of trials pass at each temperature (exact intervals).",
-        decide=every_temperature_serves,
-    ),
-)
+    Claim("why.epsilon_greedy_mostly_bias", "experiment corrections",
+          "Most of the extra iterations of ε-greedy over softmax come from the bias of its"
+          " gradient, not from its exploration.",
+          "The per-step ratio removes more than half of the mean excess of its iterations over"
+          " those of softmax (restricted to the cap, same seed and trial; Fieller’s interval of"
+          " the share).", mostly_bias("epsilon_greedy")),
+    Claim("why.decaying_mostly_bias", "experiment corrections",
+          "Most of the extra iterations of decaying ε-greedy over softmax come from the bias of"
+          " its gradient.",
+          "As for ε-greedy.", mostly_bias("decaying_epsilon_greedy")),
+    Claim("why.argmax_beyond_repair", "experiment corrections",
+          "No correction makes argmax pass almost every time.",
+          "Argmax passes in less than 80 % of trials under every correction (exact intervals).",
+          argmax_beyond_repair),
+    Claim("why.variance_costs_more", "experiment corrections",
+          "Removing the bias entirely costs more than it gains: with per-decision or trajectory"
+          " weights, both ε-greedy strategies take longer than with the per-step ratio.",
+          "The mean number of iterations, restricted to the cap, is smaller with the per-step"
+          " ratio than with either kind of unbiased weights, for both strategies (interval of the"
+          " paired difference).", variance_costs_more),
+    Claim("why.hot_softmax_repaired", "experiment corrections_temperature",
+          "Softmax at temperature 1.5 never passes without correction, and passes consistently"
+          " with the per-step ratio.",
+          "Without correction, fewer than 1 % of trials pass. With the ratio, more than 90 % pass"
+          " (exact intervals).", hot_softmax_repaired),
+    Claim("why.every_temperature_serves", "experiment corrections_temperature",
+          "With the gradient of μ, softmax passes consistently at every temperature of the grid.",
+          "More than 90 % of trials pass at each temperature (exact intervals).",
+          every_temperature_serves),
+)  # fmt: skip
 """Statements about the cause, which the thesis does not make."""

@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from trl_explore.envs import lane_env
-from trl_explore.policies.policy import is_one_hot
+from trl_explore.policies.layers import is_one_hot
 from trl_explore.training.columns import BINS, PLANES
 
 

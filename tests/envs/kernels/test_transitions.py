@@ -19,7 +19,8 @@ from trl_explore.envs.kernels import (
     kernel_of,
     tabular,
 )
-from trl_explore.envs.kernels.cartpole import observe, reset
+from trl_explore.envs.kernels.classic_control import cartpole_observe as observe
+from trl_explore.envs.kernels.classic_control import cartpole_reset as reset
 from trl_explore.envs.kernels.kernel import _BUILDERS
 from trl_explore.numerics.compiled import philox
 from trl_explore.numerics.compiled.elementary import cos32, sin32

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trl_explore.envs.kernels import kernel_of
-from trl_explore.envs.kernels.cartpole import step, step_at_any_angle
+from trl_explore.envs.kernels.classic_control import cartpole_step, cartpole_step_at_any_angle
 from trl_explore.numerics.compiled import elementary
 from trl_explore.numerics.compiled.elementary import MAX_ANGLE, cos_sin, exp32, log1p32, log32
 
@@ -158,7 +158,9 @@ def test_other_angles_and_other_libraries_are_left_to_the_library(monkeypatch):
     env = gym.make("CartPole-v1").unwrapped
     wide = gym.make("CartPole-v1").unwrapped
     wide.theta_threshold_radians = 1.0
-    assert kernel_of(wide).step is step_at_any_angle
-    assert kernel_of(env).step is (step if elementary.agree() else step_at_any_angle)
+    assert kernel_of(wide).step is cartpole_step_at_any_angle
+    assert kernel_of(env).step is (
+        cartpole_step if elementary.agree() else cartpole_step_at_any_angle
+    )
     monkeypatch.setattr(elementary, "agree", lambda: False)
-    assert kernel_of(env).step is step_at_any_angle
+    assert kernel_of(env).step is cartpole_step_at_any_angle

@@ -21,11 +21,10 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
-from trl_explore.collectors.columns import Columns
 from trl_explore.collectors.compiling import (
+    Columns,
     NotCompilableError,
     check_mixture,
-    check_transforms,
     check_weights,
     has_mask,
     mixture_array,
@@ -36,8 +35,9 @@ from trl_explore.collectors.fused.memory import scratch
 from trl_explore.collectors.networks import Network, arrays, network_of
 from trl_explore.envs import lane_env
 from trl_explore.envs.kernels import Kernel, kernel_of
+from trl_explore.envs.make import own_transforms
 from trl_explore.numerics.streams import Stream, key
-from trl_explore.policies.policy import is_one_hot
+from trl_explore.policies.layers import is_one_hot
 from trl_explore.strategies import MixtureStrategy
 
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
@@ -156,7 +156,9 @@ def compilable(
         if type(lane) not in WRAPPERS:
             raise NotCompilableError(f"it does not support the wrapper {type(lane).__name__}")
         lane = lane.env
-    check_transforms(env)
+    for transform in own_transforms(env):
+        name = type(transform).__name__
+        raise NotCompilableError(f"it does not support the transform {name}")
     served = network_of(policy[0], one_hot=is_one_hot(env)) if len(policy) == 2 else None
     if served is None:
         raise NotCompilableError(f"it does not support the policy {names(policy)}")

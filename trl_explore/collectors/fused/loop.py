@@ -72,7 +72,7 @@ def compile_loop(
         mixture            [4, 1 or *] float64: greedy, softmax, uniform, temperature
         explore            whether to draw actions; if not, the first action of largest logit
         memory             from ``memory.scratch``
-        columns            ``columns.Columns.arrays``
+        columns            ``compiling.Columns.arrays``
 
     It runs the episodes from index ``done`` on, writes their frames from frame ``place`` on, and
     their outcomes to score [m] float64 and length [m] int64. It stops before a group of episodes

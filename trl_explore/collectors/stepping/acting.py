@@ -23,8 +23,7 @@ from trl_explore.collectors.networks import Network, compile_network
 from trl_explore.numerics.compiled.arrays import borrow
 from trl_explore.numerics.compiled.cache import kernel_function
 from trl_explore.numerics.compiled.elementary import log32
-from trl_explore.numerics.compiled.normal import ndtri
-from trl_explore.numerics.compiled.philox import random
+from trl_explore.numerics.compiled.philox import ndtri, random
 from trl_explore.numerics.densities import LOG_SQRT_2PI
 from trl_explore.strategies.gaussian import COLDEST
 from trl_explore.strategies.strategy import BELOW_ONE

@@ -14,30 +14,32 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
-from trl_explore.collectors.columns import Columns, grown
 from trl_explore.collectors.compiling import (
+    Columns,
     NotCompilableError,
     check_mixture,
-    check_transforms,
     check_weights,
+    grown,
     has_mask,
     mixture_array,
     names,
 )
 from trl_explore.collectors.networks import Network, arrays, gaussian_of, network_of
 from trl_explore.collectors.stepping.acting import Form
-from trl_explore.collectors.stepping.modules import Modules
+from trl_explore.collectors.stepping.modules import Modules, Transformed
 from trl_explore.collectors.stepping.turn import (
     ACT,
     BEGIN,
     RECORD,
+    Log,
     State,
     compile_turn,
     deliver,
     log_kinds,
 )
+from trl_explore.envs.make import own_transforms
 from trl_explore.numerics.streams import Stream, key
-from trl_explore.policies.policy import is_one_hot, n_actions, n_dims
+from trl_explore.policies.layers import is_one_hot, n_actions, n_dims
 from trl_explore.strategies import ContinuousMixtureStrategy, MixtureStrategy
 
 FIRST_FRAMES = 64
@@ -48,21 +50,24 @@ class SteppingCollector(EpisodeCollector):
     """Steps any gymnasium environment: per step, ``env.step`` of the running lanes and one call.
 
     The call is compiled for the policy and the strategy's mixture. It records the outputs of all
-    lanes, computes μ and draws the actions. Other policies and strategies run their own torch
-    code. With the same seed it gives the same episodes as ``TorchRLCollector``, up to
-    floating-point rounding. Arguments and data: see ``EpisodeCollector``.
+    lanes, computes μ and draws the actions. Other policies and strategies, and the user's
+    transforms, run their own torch code. With the same seed it gives the same episodes as
+    ``TorchRLCollector``, up to floating-point rounding. Arguments and data: see
+    ``EpisodeCollector``.
 
     Attributes:
         why_modules: why the policy and strategy run their torch code; None if they are compiled.
 
     Raises:
-        NotCompilableError: if the environment has other transforms than those of ``make_env``, or
-            a module reads an entry that only TorchRL's own stepping writes.
+        NotCompilableError: if a transform changes actions or masks, or a module reads an entry
+            that only TorchRL's own stepping writes.
     """
 
     def __init__(self, env: TransformedEnv, policy: TensorDictSequential, **options: Any) -> None:
         super().__init__(env, policy, **options)
-        check_transforms(env)
+        self._transformed = Transformed(env) if own_transforms(env) else None
+        outputs = self._transformed or self.lanes.signals
+        self._observation = outputs.observation
         self._continuous = self.strategy.actions == "continuous"
         network, self._parameters, self.why_modules = None, [], None
         try:
@@ -71,7 +76,7 @@ class SteppingCollector(EpisodeCollector):
             self.why_modules = str(error)
         self._form = Form(
             network,
-            n_features=self.lanes.signals.observation.shape[1],
+            n_features=self._observation.shape[1],
             n_masks=n_actions(env) if has_mask(env) else 0,
             n_dims=n_dims(env) if self._continuous else 0,
             exact=self.strategy.exact,
@@ -79,7 +84,7 @@ class SteppingCollector(EpisodeCollector):
         form = self._form
         self._turn = compile_turn(form)
         self._state = State.of(form, self.trials)
-        self._modules = None if network else Modules(self, self._state)
+        self._modules = None if network else Modules(self, self._state, self._observation)
         self._box = self._bounds()
         self._kinds, self._log, self._capacity = log_kinds(form), (), 0
         self._columns = Columns(
@@ -101,8 +106,7 @@ class SteppingCollector(EpisodeCollector):
             n_out = n_actions(self.env)
         if served is None or len(self.policy) != 2:
             raise NotCompilableError(f"the policy {names(self.policy)}")
-        n_in = self.lanes.signals.observation.shape[1]
-        check_weights(*served, self.trials, n_in, n_out)
+        check_weights(*served, self.trials, self._observation.shape[1], n_out)
         return served
 
     def _bounds(self) -> tuple[NDArray[np.float64], ...]:
@@ -144,11 +148,16 @@ class SteppingCollector(EpisodeCollector):
     ) -> int:
         """The episode ``episodes[k]`` of every active trial k; returns the place after it."""
         lanes, state, modules, turn = self.lanes, self._state, self._modules, self._turn
+        transformed = self._transformed
         lanes.episodes[:] = episodes
         lanes.running[:] = False
         self.strategy.begin(active, episodes)
-        lanes.begin(trials)
-        lanes.check()
+        if transformed:
+            transformed.begin(active)
+            lanes.running[~active] = False
+        else:
+            lanes.begin(trials)
+            lanes.check()
         left = len(trials)
         state.rows[:left], state.episodes[:] = trials, episodes
         self._reserve(place + FIRST_FRAMES * left, place)
@@ -167,7 +176,12 @@ class SteppingCollector(EpisodeCollector):
             lanes.check()
             if place + 2 * left > self._capacity:
                 self._reserve(2 * self._capacity, place + left)
+            own, first = rows[:left].copy(), place
+            if transformed:
+                transformed.step(own, action[:left])
             left, place = turn(RECORD | after, *context[:2], place, left, *context[2:], self._log)
+            if transformed:
+                Log(*self._log).reward[first:place] = transformed.reward[own]
         return place
 
     def _context(self) -> tuple[Any, ...]:
@@ -186,7 +200,7 @@ class SteppingCollector(EpisodeCollector):
                 module: Any = self.policy[0].module
                 self._state.scale[:] = module.scale().detach().numpy()
             weights = arrays(network, parameters)
-        outputs = (signals.observation, signals.reward, signals.terminated, signals.truncated)
+        outputs = (self._observation, signals.reward, signals.terminated, signals.truncated)
         return (
             explore,
             self.lanes.first_trial,

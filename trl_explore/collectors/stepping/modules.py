@@ -1,16 +1,21 @@
-"""Policies and strategies that are not compiled: their own torch code."""
+"""What runs its own torch code between two steps: policies, strategies, and transforms."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import Transform, TransformedEnv
 
 from trl_explore.collectors.collector import EpisodeCollector
-from trl_explore.collectors.compiling import NotCompilableError
+from trl_explore.collectors.compiling import NotCompilableError, has_inverse, has_mask
 from trl_explore.collectors.stepping.turn import State
 from trl_explore.collectors.torchrl import Noise
+from trl_explore.envs import lane_env
 
 INPUTS = {"trial", "observation", "action_mask", "noise", "step_count"}
 """The entries that the modules may read."""
@@ -22,12 +27,15 @@ class Modules:
     Args:
         collector: the collector.
         state: its arrays ``given`` and ``given_log_prob`` get the actions of the lanes.
+        observation: what the policy reads [trials, n_features].
 
     Raises:
         NotCompilableError: if a module reads an entry that there is not.
     """
 
-    def __init__(self, collector: EpisodeCollector, state: State) -> None:
+    def __init__(
+        self, collector: EpisodeCollector, state: State, observation: NDArray[np.float32]
+    ) -> None:
         self.collector = collector
         lanes, trials = collector.lanes, collector.trials
         written: set[object] = set()
@@ -42,7 +50,7 @@ class Modules:
         signals = lanes.signals
         self.inputs = {
             "trial": torch.arange(trials),
-            "observation": torch.from_numpy(signals.observation),
+            "observation": torch.from_numpy(observation),
             "step_count": torch.from_numpy(state.length).unsqueeze(-1),
         }
         if lanes.has_masks:
@@ -77,3 +85,65 @@ class Modules:
         self.action.copy_(action)
         if self.exact:
             self.log_prob.copy_(td.get("action_log_prob"))
+
+
+class Transformed:
+    """What the transforms make of the outputs of all lanes, called once per step.
+
+    A transform gets every lane, as in TorchRL's own stepping, so that it may keep state per trial.
+
+    Attributes:
+        observation: the policy's input [trials, n_features].
+        reward: what the loss sees [trials].
+
+    Raises:
+        NotCompilableError: if a transform changes actions or masks.
+    """
+
+    def __init__(self, env: TransformedEnv) -> None:
+        self.env, self.lanes = env, lane_env(env)
+        self.transforms = list(cast(Iterable[Transform], env.transform))
+        for transform in self.transforms:
+            name = type(transform).__name__
+            if has_inverse(transform):
+                raise NotCompilableError(f"the transform {name} changes what the environment gets")
+            if "action_mask" in transform.out_keys:
+                raise NotCompilableError(f"the transform {name} changes the action mask")
+        self.observation = np.zeros(tuple(env.observation_spec["observation"].shape), np.float32)
+        self.reward = np.zeros(len(self.observation), np.float32)
+        self._trial = torch.arange(len(self.observation))
+        self._action = cast(torch.Tensor, env.action_spec.zero())
+        self._masked = has_mask(env)
+        self._data: TensorDictBase = TensorDict({}, self._trial.shape)
+
+    def begin(self, active: NDArray[np.bool_]) -> None:
+        """Begin an episode in the active lanes."""
+        reset = TensorDict({"_reset": torch.from_numpy(active).unsqueeze(-1)}, self._trial.shape)
+        self._data = self.env.reset(reset)
+        self.reward[:] = 0
+        self._read()
+
+    def step(self, rows: NDArray[np.int64], action: NDArray[Any]) -> None:
+        """Transform the outputs of the lanes after the actions of the lanes ``rows``."""
+        signals, data = self.lanes.signals, self._data
+        self._action.numpy()[rows] = action
+        columns = {
+            "observation": torch.from_numpy(signals.observation.copy()),
+            "reward": torch.from_numpy(signals.reward.astype(np.float32)).unsqueeze(-1),
+            "terminated": torch.from_numpy(signals.terminated.copy()).unsqueeze(-1),
+            "truncated": torch.from_numpy(signals.truncated.copy()).unsqueeze(-1),
+        }
+        columns["done"] = columns["terminated"] | columns["truncated"]
+        if self._masked:
+            columns["action_mask"] = torch.from_numpy(signals.mask.copy())
+        data.set("action", self._action.clone()).set("trial", self._trial)
+        after: TensorDictBase = TensorDict._new_unsafe(columns, self._trial.shape)
+        for transform in self.transforms:
+            after = transform._step(data, after)
+        self.reward[:] = after.get("reward").squeeze(-1).numpy()
+        self._data = self.env._step_mdp(data.set("next", after))
+        self._read()
+
+    def _read(self) -> None:
+        self.observation[:] = self._data.get("observation").numpy()
+        self.lanes.check_transformed(self.observation, self.reward)

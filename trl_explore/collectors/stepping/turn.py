@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trl_explore.collectors import mixing, networks
-from trl_explore.collectors.columns import Kinds
+from trl_explore.collectors.compiling import Kinds
 from trl_explore.collectors.stepping import acting
 from trl_explore.collectors.stepping.acting import Form, compile_acting
-from trl_explore.numerics.compiled import arrays, elementary, layers, normal, philox
+from trl_explore.numerics.compiled import arrays, elementary, layers, philox
 from trl_explore.numerics.compiled.arrays import borrow
 from trl_explore.numerics.compiled.cache import compiled, kernel_function
 from trl_explore.numerics.compiled.philox import STATE_SIZE, begin
@@ -207,7 +207,7 @@ def compile_turn(  # noqa: C901 - the parts of one compiled function
                 act(j, state.rows[j], place + j, explore, weights, mixture, box, state, log)
         return left, place
 
-    inlined = (acting, mixing, networks, arrays, elementary, layers, normal, philox)
+    inlined = (acting, mixing, networks, arrays, elementary, layers, philox)
     return compiled(*inlined, key=form)(turn)
 
 

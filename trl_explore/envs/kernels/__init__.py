@@ -1,7 +1,7 @@
 """Compiled dynamics of standard environments, each tested against gymnasium.
 
 To add an environment, write three functions and a builder, in any module that is imported before
-the collector is built. docs/own_kernel.md shows it on an example; catch.py is a short one here.
+the collector is built. docs/own_kernel.md shows it on an example; here, ``Catch`` is a short one.
 
 The contract of the functions:
 
@@ -30,15 +30,7 @@ The contract of the functions:
   the stepping collector.
 """
 
-from trl_explore.envs.kernels import (
-    acrobot,
-    cartpole,
-    catch,
-    deep_sea,
-    mountain_car,
-    swing_up,
-    tables,
-)
+from trl_explore.envs.kernels import bsuite, classic_control, tables
 from trl_explore.envs.kernels.kernel import (
     CompiledEnv,
     Kernel,
@@ -53,17 +45,13 @@ from trl_explore.numerics.compiled.philox import random
 __all__ = [
     "CompiledEnv",
     "Kernel",
-    "acrobot",
-    "cartpole",
-    "catch",
+    "bsuite",
     "check_kernel",
-    "deep_sea",
+    "classic_control",
     "kernel_function",
     "kernel_of",
-    "mountain_car",
     "random",
     "register_kernel",
-    "swing_up",
     "tables",
     "tabular",
 ]

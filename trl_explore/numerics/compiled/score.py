@@ -31,60 +31,13 @@ BLOCK = 256
 
 
 def score_kernel(shape: tuple[int, ...], observation: NDArray[Any]) -> Callable[..., bool]:
-    """The faster of two kernels for any number of actions, chosen by the first observation.
+    """``score_many`` for weights of a shape, chosen by the first observation [n_features].
 
-    It takes (observation, action, advantage, trial, weight, scale, total, gradient). If the weights
-    are finite, the choice changes no bit; if they are not, the sparse kernel skips 0 times
-    infinity.
-
-    Args:
-        shape: the shape of the weights.
-        observation: [frames, n_features].
+    If the weights are finite, the choice changes no bit; if they are not, skipping zeros leaves out
+    0 times infinity.
     """
-    one_hot = shape[2] >= WIDE and len(observation) and np.count_nonzero(observation[0]) <= SPARSE
-    return score_sparse if one_hot else score_dense
-
-
-@compiled(arrays)
-def score_sparse(observation, action, advantage, trial, weight, scale, total, gradient):
-    """Like ``score_dense``, but skips zeros; twin: ``score.plain_linear_softmax_score``."""
-    trials, n_actions, n_features = weight.shape
-    probs = np.empty(n_actions, dtype=weight.dtype)
-    own_slope = np.zeros((n_actions, n_features))
-    present = np.empty(n_features, dtype=np.int64)
-    observation, weight, slope = borrow(observation), borrow(weight), borrow(own_slope)
-    zero = np.zeros(1, dtype=weight.dtype)[0]
-    i, before = 0, np.int64(-1)
-    while i < len(action):
-        row = trial[i]
-        if not before < row < trials:
-            return False
-        before = row
-        slope[:] = 0
-        value = 0.0
-        while i < len(action) and trial[i] == row:
-            chosen, factor = action[i], np.float64(advantage[i])
-            if not 0 <= chosen < n_actions:
-                return False
-            count = _find(observation[i], present)
-            for a in range(n_actions):
-                logit = zero
-                for k in present[:count]:
-                    logit += weight[row, a, k] * observation[i, k]
-                probs[a] = logit
-            log_prob, normaliser = _exponentials(probs, chosen, zero)
-            value += factor * log_prob
-            for a in range(n_actions):
-                share = factor * (np.float64(a == chosen) - np.float64(probs[a] / normaliser))
-                for k in present[:count]:
-                    slope[a, k] += share * observation[i, k]
-            i += 1
-        total[row] = value
-        total[row] *= scale[0]
-        gradient[row] = slope
-        gradient[row] *= scale[0]
-    own_slope[0, 0] = 0  # keeps the array alive until here
-    return True
+    present = np.count_nonzero(observation[0]) if len(observation) else shape[2]
+    return score_many(shape[2] >= WIDE and present <= SPARSE)
 
 
 @kernel_function
@@ -117,42 +70,63 @@ def _exponentials(probs, chosen, zero):
     return log_prob - np.log(normaliser), normaliser
 
 
-@compiled()
-def score_dense(observation, action, advantage, trial, weight, scale, total, gradient):
-    """Any number of actions, frame by frame; twin: ``score.plain_linear_softmax_score``."""
-    trials, n_actions, n_features = weight.shape
-    probs = np.empty(n_actions, dtype=weight.dtype)
-    slope = np.empty((n_actions, n_features))
-    zero = np.zeros(1, dtype=weight.dtype)[0]
-    i, before = 0, np.int64(-1)
-    while i < len(action):
-        row = trial[i]
-        if not before < row < trials:
-            return False
-        before = row
-        slope[:] = 0
-        value = 0.0
-        while i < len(action) and trial[i] == row:
-            chosen, factor = action[i], np.float64(advantage[i])
-            if not 0 <= chosen < n_actions:
+@lru_cache(maxsize=2)
+def score_many(  # noqa: C901 - the loops of one compiled function
+    sparse: bool,
+) -> Callable[..., bool]:
+    """Any number of actions, frame by frame; twin: ``score.plain_linear_softmax_score``.
+
+    Args:
+        sparse: whether to skip the zeros of the observations.
+
+    Returns:
+        A kernel of (observation, action, advantage, trial, weight, scale, total, gradient).
+    """
+
+    @compiled(arrays, key=sparse)
+    def kernel(observation, action, advantage, trial, weight, scale, total, gradient):
+        trials, n_actions, n_features = weight.shape
+        probs = np.empty(n_actions, dtype=weight.dtype)
+        own_slope = np.zeros((n_actions, n_features))
+        present, count = np.arange(n_features), n_features
+        observation, weight, slope = borrow(observation), borrow(weight), borrow(own_slope)
+        zero = np.zeros(1, dtype=weight.dtype)[0]
+        i, before = 0, np.int64(-1)
+        while i < len(action):
+            row = trial[i]
+            if not before < row < trials:
                 return False
-            for a in range(n_actions):
-                logit = weight[row, a, 0] * observation[i, 0]
-                for k in range(1, n_features):
-                    logit += weight[row, a, k] * observation[i, k]
-                probs[a] = logit
-            log_prob, normaliser = _exponentials(probs, chosen, zero)
-            value += factor * log_prob
-            for a in range(n_actions):
-                share = factor * (np.float64(a == chosen) - np.float64(probs[a] / normaliser))
-                for k in range(n_features):
-                    slope[a, k] += share * observation[i, k]
-            i += 1
-        total[row] = value
-        total[row] *= scale[0]
-        gradient[row] = slope
-        gradient[row] *= scale[0]
-    return True
+            before = row
+            slope[:] = 0
+            value = 0.0
+            while i < len(action) and trial[i] == row:
+                chosen, factor = action[i], np.float64(advantage[i])
+                if not 0 <= chosen < n_actions:
+                    return False
+                if sparse:
+                    count = _find(observation[i], present)
+                for a in range(n_actions):
+                    logit = zero
+                    for j in range(count):
+                        k = present[j] if sparse else j
+                        logit += weight[row, a, k] * observation[i, k]
+                    probs[a] = logit
+                log_prob, normaliser = _exponentials(probs, chosen, zero)
+                value += factor * log_prob
+                for a in range(n_actions):
+                    share = factor * (np.float64(a == chosen) - np.float64(probs[a] / normaliser))
+                    for j in range(count):
+                        k = present[j] if sparse else j
+                        slope[a, k] += share * observation[i, k]
+                i += 1
+            total[row] = value
+            total[row] *= scale[0]
+            gradient[row] = slope
+            gradient[row] *= scale[0]
+        own_slope[0, 0] = 0  # keeps the array alive until here
+        return True
+
+    return kernel
 
 
 @lru_cache(maxsize=32)

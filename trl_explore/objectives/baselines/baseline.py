@@ -1,4 +1,4 @@
-"""The base class of baselines, and the two simplest."""
+"""The base class of baselines, and a number as a baseline."""
 
 from __future__ import annotations
 
@@ -72,27 +72,6 @@ class Constant(Baseline):
     def forward(self, episodes: Episodes) -> float:
         """The number."""
         return self.value
-
-
-class EpisodeMean(Baseline):
-    """b_t = mean of G_j over the frames j of the same episode.
-
-    Biased: the mean contains G_t itself and rewards that depend on a_t, so the subtracted term
-    does not have mean 0.
-
-    Example:
-        >>> import torch
-        >>> from tensordict import TensorDict
-        >>> done, trial = torch.tensor([False, True]), torch.zeros(2).long()
-        >>> EpisodeMean()(Episodes(TensorDict({}, [2]), torch.ones(2), done, trial, 1, 1.0))
-        tensor([1.5000, 1.5000])
-    """
-
-    def forward(self, episodes: Episodes) -> Tensor:
-        """The mean return of the frame's episode [frames]."""
-        total = episodes.by_episode(episodes.returns)
-        count = episodes.index.bincount(minlength=len(total))
-        return (total / count)[episodes.index]
 
 
 def as_baseline(value: Baseline | float) -> Baseline:

@@ -1,13 +1,12 @@
 """Off-policy corrections: policy gradients from data collected with μ."""
 
-from trl_explore.objectives.corrections.as_if import AsIf
 from trl_explore.objectives.corrections.behaviour import Behaviour, BehaviourActor
 from trl_explore.objectives.corrections.correction import (
     ImportanceWeights,
     NoCorrection,
     log_ratio_of,
 )
-from trl_explore.objectives.corrections.importance import PerDecision, PerStep, Trajectory
+from trl_explore.objectives.corrections.importance import AsIf, PerDecision, PerStep, Trajectory
 
 Correction = NoCorrection
 

@@ -133,6 +133,11 @@ class ImportanceWeights(NoCorrection):
         """Log min(w, clip), from log w."""
         return log_weight if self.clip is None else log_weight.clamp(max=math.log(self.clip))
 
+    def _weights(self, log_weight: Tensor, group: Tensor, groups: int) -> Tensor:
+        """The clipped weights [n], with ``self_normalize`` divided by their mean over a group."""
+        log_weight = self._clipped(log_weight)
+        return shares(log_weight, group, groups) if self.self_normalize else log_weight.exp()
+
 
 def shares(log_weight: Tensor, group: Tensor, groups: int) -> Tensor:
     """The weights divided by their mean over a group: w_i / mean{w_j: group_j = group_i} [n].

@@ -15,7 +15,6 @@ from trl_explore.report.figures import (
     differences,
     learning,
     maps,
-    power,
     survival,
     trials,
 )
@@ -41,7 +40,7 @@ KINDS: tuple[Kind, ...] = (
     learning.EVALUATION,
     survival.FRAMES,
     differences.FOREST,
-    power.POWER_OF_STUDY,
+    by_parameter.POWER_OF_STUDY,
     *learning.DIAGNOSTIC_KINDS,
     learning.ENTROPY,
     maps.VISITS,

@@ -30,15 +30,12 @@ class Kind:
 
     Attributes:
         name: unique; part of the names of its files.
-        title: for readers.
         applies: whether a group has this figure.
-        draw: the figure.
         caption: what the figure shows, with its numbers; plain text.
         thesis: experiment -> number of the same figure in the thesis.
         hero: whether the first such figure may appear next to the answer.
         recorded: whether it shows what was recorded during training.
         why: whether it appears in the section on the bias.
-
     """
 
     name: str
@@ -97,7 +94,8 @@ def by(e: GroupEvidence) -> str:
 
 def passed(e: GroupEvidence) -> str:
     """How many trials of each configuration passed."""
-    return f"Passed{by(e)}: {each(e, lambda c: f'{int(c.converged.sum())} of {len(c)}')}."
+    counts = each(e, lambda c: f"{int(c.converged.sum())} of {len(c)}")
+    return f"{e.group.did.capitalize()}{by(e)}: {counts}."
 
 
 LOG_FROM = 30.0

@@ -27,7 +27,7 @@ from trl_explore.report.figures.panels import legend_of, options_of
 from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style, styles
 from trl_explore.report.tables import negated
 from trl_explore.statistics.comparisons import Comparison
-from trl_explore.statistics.estimates import LEVEL, Estimate
+from trl_explore.statistics.estimates import Estimate
 
 MOST_PAIRS = 15
 """Most pairs in a forest plot; if there are more, only those with the fastest are shown."""
@@ -120,7 +120,7 @@ def _forest_caption(e: GroupEvidence) -> str:
     return (
         "Mean number of iterations (restricted to the cap) that the first of a pair saves compared"
         " with the second. Bar: interval at the level of the pair’s step in Holm’s correction for"
-        f" all pairs, {100 * LEVEL:g} % together. Filled: significant, the interval excludes 0,"
+        f" all pairs, {100 * e.level:g} % together. Filled: significant, the interval excludes 0,"
         f" {real} of {len(e.comparisons)} pairs.{some}"
     )
 
@@ -210,7 +210,7 @@ def _effects_caption(e: GroupEvidence) -> str:
     assert layout is not None
     return (
         f"Left: share of {trials(e)} trials that pass. Right: mean number of iterations; failed"
-        f" trials count as {e.group.cap:,}. Bars: {100 * LEVEL:g} % intervals (left: Wilson;"
+        f" trials count as {e.group.cap:,}. Bars: {100 * e.level:g} % intervals (left: Wilson;"
         f" right: MOVER). Circles: {layout.options[0]}."
     )
 
@@ -285,11 +285,12 @@ def draw_acting(found: Sequence[Decomposition]) -> Figure:
 
 def acting_caption(found: Sequence[Decomposition]) -> str:
     """What the figure shows."""
+    level = acting_rows(found)[0].acting.behaved.level
     return (
         f"{found[0].environment}. Hollow: mean score of the training episodes, in which the agent"
         " explores. Filled: mean score of the same weights, played without exploration in episodes"
         " of their own. Both are means over the whole training and over trials; the distance"
-        f" between them is lost to acting. Shaded: {100 * LEVEL:g} % intervals. “Corrected”: with"
+        f" between them is lost to acting. Shaded: {100 * level:g} % intervals. “Corrected”: with"
         " the per-step ratio; “biased as”: softmax acts, and its gradient has the bias of the"
         " other strategy."
     )

@@ -2,100 +2,100 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
 from scipy import stats
 
-from trl_explore.logs.measures import Configuration, Task, profile
+from trl_explore.logs.measures import Task, profile
+from trl_explore.report.curves import Curve
 from trl_explore.report.figures import Picture
 from trl_explore.report.figures.axes import handle, legend_above, new_figure, plain_numbers
-from trl_explore.report.log_tables import PERCENT
-from trl_explore.report.style import INK, Style, drawn_files
+from trl_explore.report.figures.panels import BANDS_UP_TO, plot_curves
+from trl_explore.report.figures.survival import Row, plot_survival
+from trl_explore.report.style import Style, drawn_files
 from trl_explore.statistics.estimates import LEVEL
+from trl_explore.statistics.survival import kaplan_meier
+
+Looks = Mapping[str, Style]
 
 
-def task_figures(task: Task, id: str, looks: dict[str, Style]) -> list[Picture]:
+def task_figures(task: Task, id: str, looks: Looks) -> list[Picture]:
     """Every figure of one environment."""
-    bands = f"Bands: {PERCENT} intervals, at each step on its own."
-    drawn = [
+    many = len(task.configurations) > BANDS_UP_TO
+    bands = "" if many else f" Bands: {100 * LEVEL:g} % intervals, at each step on its own."
+    drawn: list[tuple[str, str, str, Callable[[Axes, Task, Looks], None]]] = [
         ("curves", "Learning curves",
-         f"Mean score of the runs by step, smoothed as above. {bands}", _draw_curves),
+         f"Mean score of the runs by step, smoothed as above.{bands}", _draw_curves),
+        ("survival", f"Runs that have not exceeded {task.threshold:g}" if task.threshold else "",
+         "Kaplan–Meier. A curve that falls earlier and further is better. Runs that were cut off"
+         f" are censored where they ended.{bands}", _draw_survival),
+        ("profile", "Performance profiles",
+         "Share of runs with a final score above the value on the axis; higher is better."
+         f"{bands}", _draw_profile),
     ]  # fmt: skip
-    if task.threshold is not None:
-        drawn.append((
-            "survival", f"Runs that have not exceeded {task.threshold:g}",
-            "Kaplan–Meier. A curve that falls earlier and further is better. Runs that were cut off"
-            f" are censored where they ended. {bands}", _draw_survival,
-        ))  # fmt: skip
-    drawn.append((
-        "profile", "Performance profiles",
-        f"Share of runs with a final score above the value on the axis; higher is better. {bands}",
-        _draw_profile,
-    ))  # fmt: skip
-    return [_picture(f"{id}-{name}", title, text, task, looks, draw)
-            for name, title, text, draw in drawn]  # fmt: skip
+    if task.threshold is None:
+        del drawn[1]
+    return [_picture(f"{id}-{name}", title, caption, task, looks, draw)
+            for name, title, caption, draw in drawn]  # fmt: skip
 
 
 def _picture(
-    id: str, title: str, caption: str, task: Task, looks: dict[str, Style],
-    draw: Callable[[Axes, Configuration, Style], None],
+    id: str, title: str, caption: str, task: Task, looks: Looks,
+    draw: Callable[[Axes, Task, Looks], None],
 ) -> Picture:  # fmt: skip
-    rows = (len(task.configurations) + 1) // 2
-    figure = new_figure(2.8 + 0.17 * rows)
+    names = [c.name for c in task.configurations]
+    columns = 2 if max(map(len, names)) < 28 else 1
+    figure = new_figure(2.8 + 0.17 * -(-len(names) // columns))
     ax = figure.subplots()
-    for c in task.configurations:
-        draw(ax, c, looks[c.name])
-    steps = task.configurations[0].runs[0].step
-    ax.set_xlabel("final score" if draw is _draw_profile else steps)
-    if draw is _draw_curves:
-        ax.set_ylabel("score")
-        if task.threshold is not None:
-            ax.axhline(task.threshold, color=INK, lw=0.8, ls=":")
-    else:
-        ax.set_ylim(-0.02, 1.02)
-        ax.set_yticks(np.linspace(0, 1, 5), ["0 %", "25 %", "50 %", "75 %", "100 %"])
-    ax.grid()
+    draw(ax, task, looks)
+    ax.grid(True)
     plain_numbers(ax.xaxis)
-    entries = [handle(looks[c.name], c.name[:40]) for c in task.configurations]
-    legend_above(ax, entries, 2 if max(len(c.name) for c in task.configurations) < 28 else 1)
-    alt = f"{title} of {', '.join(c.name for c in task.configurations)}"
-    return Picture(id, title, caption, alt, **drawn_files(figure))
+    legend_above(ax, [handle(looks[name], name[:40]) for name in names], columns)
+    return Picture(id, title, caption, f"{title} of {', '.join(names)}", **drawn_files(figure))
 
 
-def _draw_curves(ax: Axes, c: Configuration, look: Style) -> None:
-    known = c.curves[np.isfinite(c.curves[:, 0])]
-    if not len(known):
-        return
-    mean, n = known.mean(0), len(known)
-    ax.plot(c.grid, mean, color=look.color, ls=look.line, marker=look.marker, markevery=50)
-    if n > 1:
-        half = stats.t.ppf((1 + LEVEL) / 2, n - 1) * known.std(0, ddof=1) / np.sqrt(n)
-        ax.fill_between(c.grid, mean - half, mean + half, color=look.color, alpha=0.13, lw=0)
+def _draw_curves(ax: Axes, task: Task, looks: Looks) -> None:
+    curves = []
+    for c in task.configurations:
+        known = c.curves[np.isfinite(c.curves[:, 0])]
+        if not (n := len(known)):
+            continue
+        mean, half = known.mean(0), None
+        if n > 1:
+            half = stats.t.ppf((1 + LEVEL) / 2, n - 1) * known.std(0, ddof=1) / np.sqrt(n)
+        low, high = (None, None) if half is None else (mean - half, mean + half)
+        curves.append((Curve(c.grid, mean, low, high), looks[c.name]))
+    if curves:
+        plot_curves(ax, curves, title="", line=task.threshold, from_zero=False)
+    ax.set_xlabel(task.configurations[0].runs[0].step)
+    ax.set_ylabel("score")
 
 
-def _draw_survival(ax: Axes, c: Configuration, look: Style) -> None:
-    curve, end = c.survival(), float(c.grid[-1])
-    times, heights = np.append(curve.times, end), np.append(curve.survival, curve.survival[-1])
-    low, high = np.append(curve.low, curve.low[-1]), np.append(curve.high, curve.high[-1])
-    if curve.times[-1] < end:  # unknown after the last run was cut off
-        times, heights, low, high = curve.times, curve.survival, curve.low, curve.high
-    ax.fill_between(times, low, high, step="post", color=look.color, alpha=0.13, lw=0)
-    ax.step(times, heights, where="post", color=look.color, ls=look.line)
-    marks = np.linspace(0, times[-1], 8)
-    ax.plot(marks, curve.at(marks), ls="", color=look.color, marker=look.marker)
+def _draw_survival(ax: Axes, task: Task, looks: Looks) -> None:
+    rows = [
+        Row(c.name, kaplan_meier(c.time, c.passed), c.time, looks[c.name])
+        for c in task.configurations
+    ]
+    step = task.configurations[0].runs[0].step
+    plot_survival(ax, rows, time=step, title="", horizon=task.horizon)
 
 
-def _draw_profile(ax: Axes, c: Configuration, look: Style) -> None:
-    values = np.sort(c.final[np.isfinite(c.final)])
-    if not len(values):
-        return
-    room = 0.04 * (np.ptp(values) or abs(values[0]) or 1.0)
-    scores = np.unique(np.concatenate([[values[0] - room], values, [values[-1] + room]]))
-    shares = profile(values, scores)
-    ax.step(scores, [s.value for s in shares], where="post", color=look.color, ls=look.line)
-    ax.plot(values, [s.value for s in profile(values, values)], ls="", color=look.color,
-            marker=look.marker)  # fmt: skip
-    ax.fill_between(scores, [s.low for s in shares], [s.high for s in shares], step="post",
-                    color=look.color, alpha=0.13, lw=0)  # fmt: skip
+def _draw_profile(ax: Axes, task: Task, looks: Looks) -> None:
+    for c in task.configurations:
+        values, look = np.sort(c.final[np.isfinite(c.final)]), looks[c.name]
+        if not len(values):
+            continue
+        room = 0.04 * (np.ptp(values) or abs(values[0]) or 1.0)
+        scores = np.unique(np.concatenate([[values[0] - room], values, [values[-1] + room]]))
+        shares = profile(values, scores)
+        ax.step(scores, [s.value for s in shares], where="post", color=look.color, ls=look.line)
+        ax.plot(values, [s.value for s in profile(values, values)], ls="", color=look.color,
+                marker=look.marker)  # fmt: skip
+        if len(task.configurations) <= BANDS_UP_TO:
+            ax.fill_between(scores, [s.low for s in shares], [s.high for s in shares],
+                            step="post", color=look.color, alpha=0.13, lw=0)  # fmt: skip
+    ax.set_xlabel("final score")
+    ax.set_ylim(-0.02, 1.02)
+    ax.set_yticks(np.linspace(0, 1, 5), ["0 %", "25 %", "50 %", "75 %", "100 %"])

@@ -38,14 +38,13 @@ def plot_plane(
 
     Args:
         ax: empty axes.
-        values: [len(xs), len(ys)]; nan: not measured.
-        xs: values of the parameter ``x`` from left to right.
-        ys: values of the parameter ``y`` from bottom to top.
-        x: name of the first parameter.
+        values: [len(xs), len(ys)]; NaN: not measured.
+        xs: values of the first parameter from left to right.
+        ys: values of the second from bottom to top.
+        x: name of the first.
         y: name of the second.
         scale: the worst value (dark) and the best value (light).
         marked: the cell that gets a frame.
-
     """
     worst, best = scale
     for i in range(len(xs)):
@@ -169,6 +168,8 @@ def _chosen(iterations: NDArray[np.int64]) -> list[int]:
 
 def _draw_visits(e: GroupEvidence) -> Figure:
     names, plane = _names(e), PLANES.get(e.group.env_id)
+    x, y = ([f.low, f.high] for f in plane) if plane else ([], [])
+    limits = (x[0], x[1], y[0], y[1]) if plane else None
     rows, columns = e.traces.visits[names[0]]["visits"].shape[1:]
     height = min(1.5, max(0.35, WIDTH / (COLUMNS + 1) * rows / columns))
     figure = new_figure(1.3 + (height + 0.25) * len(names))
@@ -183,12 +184,14 @@ def _draw_visits(e: GroupEvidence) -> Figure:
             image = ax.imshow(
                 np.where(share > 0, share, np.nan), cmap=ListedColormap(MAP), aspect="auto",
                 norm=LogNorm(FAINT, 1.0, clip=True), origin="upper" if plane is None else "lower",
-                interpolation="nearest",
+                interpolation="nearest", extent=limits,
             )  # fmt: skip
-            ax.set_title(number(float(found["iteration"][k])), fontsize=8, color=INK)
+            when = number(float(found["iteration"][k]))
+            ax.set_title(when if ax is not line[0] else f"iteration {when}", fontsize=8, color=INK)
             ax.set_axis_on()
-            ax.set_xticks([])
-            ax.set_yticks([])
+            ax.set_xticks(x if line[0] is axes[-1, 0] else [])
+            ax.set_yticks(y if ax is line[0] else [])
+            ax.tick_params(labelsize=7)
             ax.grid(False)
         line[0].set_ylabel(wrapped(e.group.labels[name], 18), fontsize=8)
     if plane is not None:
@@ -205,9 +208,10 @@ def _visits_caption(e: GroupEvidence) -> str:
         cells = e.traces.visits[name]["reached"][-1]
         return f"{(cells > 0).sum()} of {cells.size}" if name in e.traces.visits else "not recorded"
 
-    what = "states" if PLANES.get(e.group.env_id) is None else "cells"
+    plain = PLANES.get(e.group.env_id) is None
+    what, place = ("states", "state") if plain else ("cells", "cell of a grid of two features")
     return (
-        "Share of the frames of all trials in each state, from the first iteration to the one over"
+        f"Share of the frames of all trials in each {place}, from iteration 1 to the one over"
         f" the map (logarithmic colours; white: never). Reached by any trial at the end, {what}:"
         f" {each(e, lambda c: reached(c.name))}."
     )

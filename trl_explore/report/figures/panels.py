@@ -63,14 +63,7 @@ def draw_panels(
 ) -> Figure:
     """Draw panels on common axes, two per line, with one legend.
 
-    Args:
-        group: what is drawn.
-        draw: draws one panel on empty axes.
-        panels: in reading order.
-        x: name and unit of the horizontal axis.
-        y: name and unit of the vertical axis.
-        legend: label and style of its entries; None: the options or configurations of the group.
-
+    ``legend`` has its labels and styles; None: the options or configurations of the group.
     """
     entries = list(legend or options_of(group))
     columns = min(PANELS_PER_ROW, len(panels))
@@ -124,17 +117,12 @@ def plot_curves(
     line: float | None = None,
     limits: tuple[float, float] | None = None,
     log: bool = False,
+    from_zero: bool = True,
 ) -> None:
     """Draw curves by iteration, with bands if they are known.
 
-    Args:
-        ax: empty axes.
-        curves: with their styles, in the order of the legend.
-        title: title of the panel.
-        line: height of a dashed line.
-        limits: limits of the vertical axis; None: :func:`limits_of` the curves.
-        log: whether the vertical axis is logarithmic.
-
+    ``line`` is the height of a dashed line; without ``limits``, they are :func:`limits_of` the
+    curves.
     """
     for k, (curve, style) in enumerate(curves):
         x = curve.iterations
@@ -151,7 +139,8 @@ def plot_curves(
     ax.set_title(wrapped(title, 28), loc="left", color=INK)
     ax.set_yscale("log" if log else "linear")
     ax.grid()
-    ax.set_ylim(*(limits or limits_of([curve for curve, _ in curves], line=line, log=log)))
+    shown = [curve for curve, _ in curves]
+    ax.set_ylim(*(limits or limits_of(shown, line=line, log=log, from_zero=from_zero)))
     plain_numbers(ax.xaxis)
     plain_numbers(ax.yaxis)
 

@@ -26,15 +26,12 @@ from trl_explore.report.figures.axes import (
     whole_study,
     wrapped,
 )
-from trl_explore.report.figures.panels import Panel, draw_panels, panels_of
+from trl_explore.report.figures.panels import BANDS_UP_TO, Panel, draw_panels, panels_of
 from trl_explore.report.style import INK, MUTED, Style
-from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import convergence_times
 from trl_explore.statistics.survival import SurvivalCurve, kaplan_meier, number_at_risk
 
 MARKS = 9
-BANDS_UP_TO = 6
-"""Most curves that are drawn with bands; more bands would hide each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +61,12 @@ def plot_survival(
     start = 0.8 * min(row.durations.min() for row in rows) if log else 0.0
     for k, row in enumerate(rows):
         curve, style = row.curve, row.style
-        times = np.append(curve.times, max(end, curve.times[-1]))
+        # After the last trial was censored, nothing is known.
+        last = max(end, curve.times[-1]) if curve.survival[-1] == 0 else curve.times[-1]
+        times = np.append(curve.times, last)
+        heights, low, high = (np.append(y, y[-1]) for y in (curve.survival, curve.low, curve.high))
         if len(rows) <= BANDS_UP_TO:
-            low, high = np.append(curve.low, curve.low[-1]), np.append(curve.high, curve.high[-1])
             ax.fill_between(times, low, high, step="post", color=style.color, alpha=0.13, lw=0)
-        heights = np.append(curve.survival, curve.survival[-1])
         ax.step(times, heights, where="post", color=style.color, ls=style.line)
         share = (np.arange(MARKS) + (k + 0.5) / len(rows)) / MARKS
         marks = start * (end / start) ** share if log else end * share
@@ -128,7 +126,7 @@ def _rows(e: GroupEvidence, names: Sequence[str], unit: str) -> list[Row]:
         durations, converged = convergence_times(by_name[name], unit)
         if unit == "frames":  # failed trials stay at risk until the end of the common axis
             durations = np.where(converged, durations, end)
-        curve = kaplan_meier(durations, converged)
+        curve = kaplan_meier(durations, converged, level=e.level)
         rows.append(Row(group.labels[name], curve, durations, group.styles[name]))
     return rows
 
@@ -144,16 +142,16 @@ def _draw_panels(e: GroupEvidence) -> Figure:
 
 
 def _quantity(e: GroupEvidence) -> str:
-    learned = e.group.configurations[0].measure == "learned"
+    learned = e.group.did == "learned"
     return "trials that have not learned" if learned else "trials not yet converged"
 
 
 def _caption(e: GroupEvidence) -> str:
     many = len(e.group.configurations) > BANDS_UP_TO
-    bands = "" if many else f" Bands: {100 * LEVEL:g} % intervals."
+    bands = "" if many else f" Bands: {100 * e.level:g} % intervals."
     return (
-        f"Share of trials that have not converged (Kaplan–Meier). A curve that falls earlier and"
-        f" further is better. Trials that had not passed by {e.group.cap:,} iterations were stopped"
+        f"Share of {_quantity(e)} (Kaplan–Meier). A curve that falls earlier and further is"
+        f" better. Trials that had not {e.group.did} by {e.group.cap:,} iterations were stopped"
         f" there. {passed(e)}{bands} Below: how many of {trials(e)} trials are still learning."
     )
 
@@ -171,7 +169,7 @@ def _panels_caption(e: GroupEvidence) -> str:
     return (
         "Share of trials that have not converged (Kaplan–Meier). Trials that had not passed by the"
         f" cap of {e.group.cap:,} iterations were stopped there."
-        f" Bands: {100 * LEVEL:g} % intervals."
+        f" Bands: {100 * e.level:g} % intervals."
     )
 
 
@@ -217,7 +215,7 @@ LEARNED_PANELS = Kind(
     lambda e: _draw_panels(_learned(e)),
     lambda e: (
         "The same trials, judged by what they have learned: the policy is played without"
-        f" exploration. Bands: {100 * LEVEL:g} % intervals."
+        f" exploration. Bands: {100 * e.level:g} % intervals."
     ),
 )
 FRAMES = Kind(

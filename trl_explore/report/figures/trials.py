@@ -70,7 +70,6 @@ def plot_trials(
         of: name of the vertical axis, if rows are values of one parameter.
         line: value and label of a vertical line: the threshold, or the cap.
         may_be_log: use a logarithmic axis if the values span much.
-
     """
     present = set()
     raster = sum(len(row.values) for row in rows) > RASTER_FROM_ALL
@@ -220,11 +219,15 @@ def _draw(
 
 def _draw_score(e: GroupEvidence) -> Figure:
     quantity = f"mean score of the last {e.group.window} episodes"
+    if e.group.did == "learned":
+        quantity = "mean score of the final policy, without exploration"
     line = e.group.threshold, f"passes above {e.group.threshold:g}"
     return _draw(e, lambda c: (c, c.score.astype(np.float64)), quantity, line, may_be_log=False)
 
 
 def _score_caption(e: GroupEvidence) -> str:
+    if e.group.did == "learned":
+        return f"One point per trial: its policy, played without exploration. {passed(e)}"
     return (
         f"One point per trial. {passed(e)} A trial stops as soon as its score exceeds"
         f" {e.group.threshold:g}, so passing trials lie just above the line, except those that"

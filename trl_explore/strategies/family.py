@@ -1,15 +1,96 @@
-"""Softmax at a temperature, and mixtures with it."""
+"""The strategies that are points of one family: argmax, softmax, uniform, and mixtures."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Unpack
 
-from tensordict import NestedKey, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import TensorSpec
 
+from trl_explore.strategies.discrete import Options
 from trl_explore.strategies.mixture import Mixture, MixtureStrategy
-from trl_explore.strategies.schedules import Parameter
+from trl_explore.strategies.schedules import Exponential, Parameter
+
+
+class Random(MixtureStrategy):
+    """Uniform over the actions, independent of the policy.
+
+    μ(a|s) = 1 / n_actions      (thesis, §2.2.1)
+
+    Example:
+        >>> import torch
+        >>> Random().probs(torch.tensor([0.0, 3.0]))
+        tensor([0.5000, 0.5000])
+    """
+
+    differentiable = True
+
+    def mixture(self) -> Mixture:
+        """All weight on uniform."""
+        return Mixture(uniform=1.0)
+
+
+class Argmax(MixtureStrategy):
+    """The action of largest logit; ties share.
+
+    μ(a|s) = 1[a ∈ A*] / |A*|,   A* = argmax_a logits_a      (thesis, §2.2.2)
+
+    Example:
+        >>> import torch
+        >>> Argmax().probs(torch.tensor([0.0, 4.0, -1.0, 4.0]))
+        tensor([0.0000, 0.5000, 0.0000, 0.5000])
+    """
+
+    def mixture(self) -> Mixture:
+        """All weight on argmax."""
+        return Mixture(greedy=1.0)
+
+
+class EpsilonGreedy(MixtureStrategy):
+    """Argmax with weight 1 − ε, uniform with weight ε.
+
+    μ(a|s) = (1 − ε) · 1[a ∈ A*] / |A*| + ε / n_actions      (Sutton & Barto, §2.2; thesis, §2.2.3)
+
+    Args:
+        epsilon: ε in [0, 1], a number, one number per trial, or a schedule.
+        options: the arguments of ``Strategy``, such as ``spec`` and ``logits_key``.
+
+    Raises:
+        ValueError: if ε leaves [0, 1] in any iteration.
+
+    Example:
+        >>> import torch
+        >>> EpsilonGreedy(0.2).probs(torch.tensor([0.0, 4.0, -1.0, 4.0]))
+        tensor([0.0500, 0.4500, 0.0500, 0.4500])
+    """
+
+    epsilon: Tensor
+
+    def __init__(self, epsilon: Parameter = 0.3, **options: Unpack[Options]) -> None:
+        super().__init__(**options)
+        self.follow("epsilon", epsilon, 0, 1)
+
+    def mixture(self) -> Mixture:
+        """Argmax with weight 1 − ε, uniform with weight ε."""
+        epsilon = self.now("epsilon")
+        return Mixture(greedy=1 - epsilon, uniform=epsilon)
+
+
+class DecayingEpsilonGreedy(EpsilonGreedy):
+    """ε-greedy with ε_i = decay^i in iteration i = 0, 1, ...      (thesis, §2.2.4, appendix A.4).
+
+    Short for ``EpsilonGreedy(Exponential(1.0, decay))``.
+
+    Args:
+        decay: the factor per iteration, in [0, 1].
+        options: the arguments of ``Strategy``.
+
+    Raises:
+        ValueError: if ``decay`` is not in [0, 1].
+    """
+
+    def __init__(self, decay: float = 0.99, **options: Unpack[Options]) -> None:
+        super().__init__(Exponential(1.0, decay), **options)
 
 
 class Softmax(MixtureStrategy):
@@ -20,23 +101,12 @@ class Softmax(MixtureStrategy):
     The thesis prints exp(x^T) but means x / T. T → 0 gives argmax, T → ∞ uniform.
 
     Args:
-        temperature: T > 0, a number, one number per trial, or a schedule, which may
-            reach 0, the limit: argmax.
-        spec: the action spec (``Categorical``, ``OneHot``, ``MultiCategorical`` or ``MultiOneHot``,
-            possibly in a ``Composite``); None: actions are indices.
-        logits_key: the entry with the logits or action values.
-        action_key: the entry to write the action to.
-        action_mask_key: the entry with the mask; None: "action_mask" in the group of the action.
-        log_prob_key: the entry to write the log-probability to; None: beside the action, with the
-            suffix "_log_prob".
-        noise_key: the entry with uniform numbers in [0, 1) that decide the draw; None: torch's
-            generator decides it.
-        trial_key: the entry with the trial of each frame, if T has one value per trial.
-        validate_args: whether to check that every state has an allowed action with a finite logit.
+        temperature: T > 0, a number, one number per trial, or a schedule, which may reach the
+            limit 0: argmax.
+        options: the arguments of ``Strategy``, such as ``spec`` and ``logits_key``.
 
     Raises:
-        ValueError: if T is not a positive number, the spec is of another kind, or a state has no
-            action to draw.
+        ValueError: if T is not a positive number.
 
     Example:
         >>> import torch
@@ -47,29 +117,8 @@ class Softmax(MixtureStrategy):
     differentiable = True
     temperature: Tensor
 
-    def __init__(
-        self,
-        temperature: Parameter = 1.0,
-        *,
-        spec: TensorSpec | None = None,
-        logits_key: NestedKey = "logits",
-        action_key: NestedKey = "action",
-        action_mask_key: NestedKey | None = None,
-        log_prob_key: NestedKey | None = None,
-        noise_key: NestedKey | None = None,
-        trial_key: NestedKey = "trial",
-        validate_args: bool = True,
-    ) -> None:
-        super().__init__(
-            spec=spec,
-            logits_key=logits_key,
-            action_key=action_key,
-            action_mask_key=action_mask_key,
-            log_prob_key=log_prob_key,
-            noise_key=noise_key,
-            trial_key=trial_key,
-            validate_args=validate_args,
-        )
+    def __init__(self, temperature: Parameter = 1.0, **options: Unpack[Options]) -> None:
+        super().__init__(**options)
         self.follow("temperature", temperature, low_open=True)
 
     def mixture(self) -> Mixture:
@@ -104,7 +153,7 @@ class EpsilonSoftmax(MixtureStrategy):
     temperature: Tensor
 
     def __init__(
-        self, epsilon: Parameter = 0.1, temperature: Parameter = 1.0, **options: Any
+        self, epsilon: Parameter = 0.1, temperature: Parameter = 1.0, **options: Unpack[Options]
     ) -> None:
         super().__init__(**options)
         self.follow("epsilon", epsilon, 0, 1)
@@ -142,7 +191,7 @@ class MaxBoltzmann(MixtureStrategy):
     temperature: Tensor
 
     def __init__(
-        self, epsilon: Parameter = 0.3, temperature: Parameter = 1.0, **options: Any
+        self, epsilon: Parameter = 0.3, temperature: Parameter = 1.0, **options: Unpack[Options]
     ) -> None:
         super().__init__(**options)
         self.follow("epsilon", epsilon, 0, 1)
@@ -191,7 +240,7 @@ class FullMixture(MixtureStrategy):
         softmax: Parameter = 0.4,
         uniform: Parameter = 0.2,
         temperature: Parameter = 1.0,
-        **options: Any,
+        **options: Unpack[Options],
     ) -> None:
         super().__init__(**options)
         for name, weight in {"greedy": greedy, "softmax": softmax, "uniform": uniform}.items():

@@ -1,7 +1,8 @@
-"""The cells of the map: what the agents of every mixture did and learned, and how one plays."""
+"""The map: what the agents of every mixture did and learned, as one page."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from io import BytesIO
@@ -12,6 +13,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
+from jinja2 import Environment
+from markupsafe import Markup
 from tensordict.nn import TensorDictSequential
 
 from trl_explore import policies, strategies
@@ -238,3 +241,28 @@ def _three(estimate: Estimate) -> list[float | None]:
 def _short(value: float) -> float | None:
     """Four digits; None where there is no number."""
     return float(f"{value:.4g}") if isfinite(value) else None
+
+
+HERE = Path(__file__).parent
+ORDER = ("CartPole-v1", "FrozenLake-v1", "trl_explore/Catch-v0")
+"""The first environments of the page; others follow."""
+
+
+def page(found: Mapping[str, Any]) -> str:
+    """The page of what ``cells.read_cells`` has found."""
+    tasks, cells = found["tasks"], found["cells"]
+    rank = [ORDER.index(t["id"]) if t["id"] in ORDER else len(ORDER) for t in tasks]
+    order = sorted(range(len(tasks)), key=lambda i: (rank[i], tasks[i]["id"]))
+    cells = [{**cell, "task": order.index(cell["task"])} for cell in cells]
+    cells.sort(key=lambda cell: (cell["task"], cell["corrected"], cell["T"], cell["w"]))
+    counts = sorted({cell["n"] for cell in cells})
+    data = {"tasks": [tasks[i] for i in order], "cells": cells}
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    template = Environment(autoescape=True, keep_trailing_newline=True).from_string(
+        (HERE / "map.html").read_text(encoding="utf-8")
+    )
+    own = {
+        name: Markup((HERE / f"map.{name}").read_text(encoding="utf-8")) for name in ("css", "js")
+    }
+    trials = " to ".join(f"{n:,}" for n in dict.fromkeys((counts[0], counts[-1])))
+    return template.render(data=Markup(text), trials=trials, **own)

@@ -5,13 +5,13 @@ import pytest
 import torch
 from scipy import stats
 
-from trl_explore.policies import INITS, glorot_uniform, initial_weights
+from trl_explore.policies import INITS, initial_weights
 
 
 @pytest.mark.parametrize("trials", [1, 30, 400])
 @pytest.mark.parametrize(("n_out", "n_in"), [(2, 4), (3, 6), (4, 16)])
 def test_glorot_bound_is_that_of_one_trial(trials, n_out, n_in):
-    weight = glorot_uniform(trials, n_out, n_in)
+    weight = initial_weights([n_in, n_out], trials)[0]
     assert weight.shape == (trials, n_out, n_in)
     assert weight.dtype == torch.float32
     bound = math.sqrt(6 / (n_in + n_out))
@@ -22,29 +22,29 @@ def test_glorot_bound_is_that_of_one_trial(trials, n_out, n_in):
 
 
 def test_glorot_of_cartpole_is_uniform_within_one():
-    draws = glorot_uniform(2000, 2, 4).flatten().numpy()  # √(6 / (4 + 2)) = 1
+    draws = initial_weights([4, 2], 2000)[0].flatten().numpy()  # √(6 / (4 + 2)) = 1
     assert stats.kstest(draws, stats.uniform(-1, 2).cdf).pvalue > 1e-3
 
 
 def test_row_k_of_a_batch_is_trial_k_alone():
-    together = glorot_uniform(30, 2, 4, seed=3)
+    together = initial_weights([4, 2], 30, seed=3)[0]
     for k in range(30):
-        assert torch.equal(together[k], glorot_uniform(1, 2, 4, seed=3, first_trial=k)[0])
-    assert torch.equal(together[7:20], glorot_uniform(13, 2, 4, seed=3, first_trial=7))
+        assert torch.equal(together[k], initial_weights([4, 2], 1, seed=3, first_trial=k)[0][0])
+    assert torch.equal(together[7:20], initial_weights([4, 2], 13, seed=3, first_trial=7)[0])
 
 
 def test_trials_and_seeds_share_no_weight():
-    weights = torch.stack([glorot_uniform(30, 2, 4, seed=seed) for seed in (0, 1, 2, 30)])
+    weights = torch.stack([initial_weights([4, 2], 30, seed=seed)[0] for seed in (0, 1, 2, 30)])
     assert len(weights.unique()) == weights.numel()
 
 
 def test_weights_ignore_the_global_generators():
     with torch.random.fork_rng():
         torch.manual_seed(1)
-        first = glorot_uniform(2, 2, 4)
+        first = initial_weights([4, 2], 2)[0]
         state = torch.get_rng_state()
         torch.manual_seed(2)
-        assert torch.equal(glorot_uniform(2, 2, 4), first)
+        assert torch.equal(initial_weights([4, 2], 2)[0], first)
         torch.manual_seed(1)
         assert torch.equal(torch.get_rng_state(), state)
 
