@@ -14,7 +14,7 @@ from torchrl.envs.utils import ExplorationType
 
 from trl_explore.collectors import FusedCollector, NotCompilableError, TorchRLCollector
 from trl_explore.config.building import STOPPING
-from trl_explore.config.kinds import options
+from trl_explore.config.checking import options
 from trl_explore.envs import lane_env, make_env
 from trl_explore.envs.kernels.kernel import _BUILDERS
 from trl_explore.policies import LinearPolicy

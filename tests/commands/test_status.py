@@ -159,6 +159,15 @@ def test_what_is_not_legible_is_not_known(sweep, text):
     assert "Traceback" not in report(found)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
+def test_a_pipe_is_no_record_of_a_job(tmp_path):
+    finish(tmp_path / "done")
+    (begin(tmp_path / "piped") / "run.json").unlink(missing_ok=True)
+    os.mkfifo(tmp_path / "piped" / "run.json")
+    (found,) = survey([tmp_path])
+    assert [(job.name, job.state) for job in found.jobs] == [("done", "done"), ("piped", "cut off")]
+
+
 def test_names_from_files_are_no_paths_and_move_no_cursor(tmp_path):
     sweep = tmp_path / "s"
     finish(sweep / "a")

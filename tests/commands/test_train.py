@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -582,12 +583,35 @@ def test_help_and_configuration_without_torch(run_many, tmp_path):
         "strategy: argmax, ",
         "experiment: baselines, ",
         "trials: 30",
+        "# The trials of a job. Trial k of a seed is the same agent in every job.\nseed: 0\n",
+        "  discount_steps: false   # multiply by gamma^t\n",
+        "10 % more each time, and the cap, where a compiled kernel serves; n: every n",
+        "max_iterations: ${env.max_iterations}\n",
     ):
         assert text in helped.stdout
     assert "epsilon: 0.3" in shown.stdout
     assert "weight: 0.25" in shown.stdout
     assert "trials: 20" in sweep.stdout
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_flag_is_one_line(run_cli, tmp_path):
+    process = run_cli("--foo", "trials=2", cwd=tmp_path)
+    assert (process.returncode, process.stdout) == (1, "")
+    assert complaints(process) == [
+        "error: unrecognized arguments: --foo; --hydra-help lists the flags"
+    ]
+
+
+def test_a_reader_that_has_left_is_no_error():
+    """As ``trl-explore train --help | true``: the pipe is closed before the first byte."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    process = subprocess.run(
+        [sys.executable, str(SCRIPT), "--help"], stdout=writing, stderr=subprocess.PIPE, text=True
+    )
+    os.close(writing)
+    assert (process.returncode, process.stderr) == (141, "")
 
 
 def test_tab_completion_without_torch(run_cli, tmp_path):
@@ -625,8 +649,13 @@ def test_what_the_grammar_cannot_read_is_shown_with_its_quotes(run_many, tmp_pat
 
 def test_a_tilde_is_the_home_of_the_user(run_many, tmp_path):
     home = f"import os; os.environ['HOME'] = {str(tmp_path / 'home')!r}"
-    (ran,) = run_many([home, ["output_dir='~/results'", *TINY]], tmp_path)
+    ran, nobody = run_many(
+        [home, ["output_dir='~/results'", *TINY], ["output_dir='~no_such_user/x'", *TINY]], tmp_path
+    )
     assert ran.returncode == 0, ran.stderr
+    assert complaints(nobody) == [
+        "error: output_dir=~no_such_user/x: the user of this ~ has no home folder"
+    ]
     assert [path.name for path in tmp_path.iterdir()] == ["home"]
 
 

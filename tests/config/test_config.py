@@ -28,7 +28,7 @@ from trl_explore.config import (
     resolved,
 )
 from trl_explore.config.building import STOPPING
-from trl_explore.config.kinds import options
+from trl_explore.config.checking import options
 
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 FILES = [(group, path.stem) for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
@@ -450,6 +450,7 @@ WRONG = [
     (("evaluate_every=-1",), "evaluate_every ... >= 0 ... -1"),
     (("evaluate_every=often",), "evaluate_every ... auto or an integer ... 'often'"),
     (("evaluate_every=2.5",), "evaluate_every ... 2.5"),
+    (("evaluate_episodes=3", "evaluate_every=0"), "evaluate_episodes=3 ... evaluate_every ... 0"),
     (("evaluate_episodes=0",), "evaluate_episodes ... >= 1 ... 0"),
     (("keep_weights=10",), "keep_weights ... list ... [0,10,50] ... 10"),
     (("keep_weights=[5,11]", "max_iterations=10"), "keep_weights ... <= 10 ... 11"),

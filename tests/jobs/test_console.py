@@ -3,6 +3,10 @@ from __future__ import annotations
 import io
 import os
 import re
+import struct
+import subprocess
+import sys
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -34,6 +38,24 @@ def clock(monkeypatch) -> list[float]:
     return now
 
 
+@pytest.fixture
+def screen(monkeypatch):
+    """Make a terminal with so many columns; returns its stream."""
+
+    def make(columns: int) -> Terminal:
+        for name, value in {"COLUMNS": str(columns), "LINES": "5", "TERM": "xterm"}.items():
+            monkeypatch.setenv(name, value)
+        return Terminal()
+
+    return make
+
+
+def lines(text: str) -> list[str]:
+    """What a terminal showed, without the codes that move the cursor or set a colour."""
+    parts = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text).replace("\n", "\r").split("\r")
+    return [part.rstrip() for part in parts if part.strip()]
+
+
 def test_quiet_where_nobody_watches(trials, clock):
     stream = io.StringIO()
     progress = Progress("softmax", [trials], stream)
@@ -43,55 +65,91 @@ def test_quiet_where_nobody_watches(trials, clock):
     assert stream.getvalue() == ""
 
 
-def test_the_live_line(trials, clock):
-    stream = Terminal()
+def test_the_live_line(trials, clock, screen):
+    stream = screen(120)
     progress = Progress("softmax", [trials], stream)
     progress.iterations = progress.frames = 0  # as if it had been there from the beginning
     clock[0] += 3.0
     progress()
-    line = stream.getvalue()
-    assert re.match(r"\rsoftmax: .*\b2, .*\b1/2, .*\b4\.5, 500 frames/s", line)
+    (line,) = lines(stream.getvalue())
+    assert re.match(r"softmax .*\b2, .*\b1/2, .*\b4\.5, 500 frames/s", line)
     assert "12 s left" in line  # 3 s for 2 iterations, 8 to go
-    assert "\n" not in line
+    assert "\033[?25l" not in stream.getvalue()  # the cursor stays visible if the program is killed
+    progress.close()
+    assert stream.getvalue().endswith("\033[2K")  # the line is removed
 
 
-def test_the_live_line_of_a_sweep(trials, clock, monkeypatch):
+def test_the_live_line_of_a_sweep(trials, clock, screen):
     """The third of nine jobs, 40 s after the first began: 20 s each."""
-    Progress("softmax", [trials], Terminal(), (0, 9))
+    Progress("softmax", [trials], screen(200), (0, 9))
     clock[0] += 40
-    stream = Terminal()
-    size = os.terminal_size((200, 5))
-    monkeypatch.setattr(console, "get_terminal_size", lambda: size)
-    progress = Progress("argmax", [trials], stream, (2, 9))
-    clock[0] += 1
-    progress()
-    assert stream.getvalue().startswith("\r3/9, then about 2 min: argmax: iteration")
-    size = os.terminal_size((30, 5))
-    clock[0] += 1
-    progress()
-    assert len(stream.getvalue().split("\r")[-1].removesuffix("\033[K")) == 29
+    for columns in (200, 30):
+        stream = screen(columns)
+        progress = Progress("argmax", [trials], stream, (2, 9))
+        clock[0] += 1
+        progress()
+        (line,) = lines(stream.getvalue())
+        assert line.startswith("3/9, then about 2 min: argmax" if columns == 200 else "")
+        assert len(line) <= columns
+        clock[0] -= 1
 
 
-def test_the_live_line_is_refreshed_at_intervals(trials, clock):
-    stream = Terminal()
+def test_the_live_line_is_refreshed_at_intervals(trials, clock, screen):
+    stream = screen(120)
     progress = Progress("softmax", [trials], stream)
-    lengths = []
+    lengths = [0]
     for _ in range(8):
         clock[0] += console.REFRESH * 0.4
         progress()
         lengths.append(len(stream.getvalue()))
-    assert [b > a for a, b in zip([0, *lengths], lengths, strict=False)] == [
+    assert [b > a for a, b in pairwise(lengths)] == [
         False, False, True, False, False, True, False, False,
     ]  # fmt: skip
 
 
-def test_the_live_line_is_removed(trials, clock):
-    stream = Terminal()
-    progress = Progress("softmax", [trials], stream)
-    clock[0] += 1
-    progress()
-    progress.close()
-    assert stream.getvalue().endswith("\r\033[K")
+TIMED = """
+import sys, time
+from trl_explore.jobs.console import Bar
+bar = Bar("a name that is much longer than the terminal is wide " + "x" * 90)
+for k in range(3):
+    time.sleep(0.21)
+    if bar.due:
+        bar.show(k, 3, f"{k}/3 trials")
+bar.close()
+print("done", file=sys.stderr)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminal")
+def test_on_a_terminal_of_40_columns():
+    import fcntl
+    import pty
+    import termios
+
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 10, 40, 0, 0))
+    plain = {name: text for name, text in os.environ.items() if name not in ("COLUMNS", "LINES")}
+    process = subprocess.Popen(
+        [sys.executable, "-c", TIMED], stdin=slave, stdout=slave, stderr=slave,
+        env=plain | {"TERM": "xterm"},
+    )  # fmt: skip
+    os.close(slave)
+    written = b""
+    try:
+        while part := os.read(master, 1000):
+            written += part
+    except OSError:
+        pass  # the other end is closed
+    os.close(master)
+    assert process.wait() == 0
+    *shown, last = lines(written.decode())
+    assert last == "done"
+    assert [re.search(r"(\d)/3 trials$", line)[1] for line in dict.fromkeys(shown)] == [
+        "0",
+        "1",
+        "2",
+    ]
+    assert all(len(line) <= 40 and line.startswith("a name") for line in shown)
 
 
 @pytest.mark.parametrize(

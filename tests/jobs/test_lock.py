@@ -113,3 +113,20 @@ def test_where_locks_work_nothing_is_written(tmp_path, caplog):
     with Lock(tmp_path / "job"):
         assert (tmp_path / "job" / NAME).read_bytes() == b""
     assert not caplog.text
+
+
+def test_a_file_deleted_before_it_was_locked_is_not_held(tmp_path, monkeypatch):
+    """Another process releases the lock, and so deletes its file, between open and flock."""
+    job, flock, calls = tmp_path / "job", lock._flock, []
+
+    def late(file, kind):
+        if not calls:
+            (job / NAME).unlink()
+        calls.append(file)
+        flock(file, kind)
+
+    monkeypatch.setattr(lock, "_reasons", {tmp_path.stat().st_dev: ""})
+    monkeypatch.setattr(lock, "_flock", late)
+    with Lock(job):
+        assert len(calls) == 2
+        assert is_locked(job)

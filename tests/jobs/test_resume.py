@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 
 from trl_explore.collectors import FusedCollector, TorchRLCollector
 from trl_explore.config import CONF
-from trl_explore.config.kinds import options
+from trl_explore.config.checking import options
 from trl_explore.jobs import resume
 from trl_explore.jobs.checkpoint import Store, pack
 from trl_explore.jobs.resume import Saver, restore

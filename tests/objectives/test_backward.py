@@ -13,7 +13,7 @@ from torch import nn
 
 from trl_explore.collectors import FusedCollector, NotCompilableError
 from trl_explore.config import CONF
-from trl_explore.config.kinds import options
+from trl_explore.config.checking import options
 from trl_explore.envs import make_env
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.policies import LinearPolicy

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image, ImageColor
 
 from trl_explore.commands import watch
-from trl_explore.config.recorded import RecordedJob, recompose_all
+from trl_explore.config.composing import RecordedJob, recompose_all
 from trl_explore.show.episodes import play
 from trl_explore.show.film import HOLD, MARK, Panel, compose, pictures
 

@@ -24,7 +24,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import TanhNormal
 
 from trl_explore.config import CONF
-from trl_explore.config.kinds import options
+from trl_explore.config.checking import options
 from trl_explore.strategies import (
     ContinuousStrategy,
     EpsilonMean,

@@ -19,7 +19,7 @@ from torchrl.envs.libs.gym import GymEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.config import CONF
-from trl_explore.config.kinds import options
+from trl_explore.config.checking import options
 from trl_explore.strategies import ParameterNoise, Strategy
 from trl_explore.training.evaluation import acting
 

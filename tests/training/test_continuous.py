@@ -21,7 +21,7 @@ from torchrl.modules import IndependentNormal, ProbabilisticActor
 
 from trl_explore.collectors import FusedCollector, NotCompilableError, TorchRLCollector
 from trl_explore.config import CONF
-from trl_explore.config.kinds import options
+from trl_explore.config.checking import options
 from trl_explore.envs import make_env
 from trl_explore.numerics.streams import Stream, generator
 from trl_explore.objectives import ReinforceLoss

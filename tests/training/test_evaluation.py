@@ -14,7 +14,7 @@ from trl_explore import config as configuration
 from trl_explore.collectors import TorchRLCollector
 from trl_explore.config import CONF
 from trl_explore.config.building import build_trainer
-from trl_explore.config.kinds import options
+from trl_explore.config.checking import options
 from trl_explore.envs import make_env
 from trl_explore.numerics.streams import Stream, generator
 from trl_explore.policies import LinearPolicy

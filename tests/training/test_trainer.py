@@ -12,7 +12,7 @@ from tensordict import TensorDict
 from torch.optim import Adam
 
 from trl_explore.config import CONF
-from trl_explore.config.kinds import options
+from trl_explore.config.checking import options
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.policies import initial_weights
 from trl_explore.strategies import Argmax, DecayingEpsilonGreedy, EpsilonGreedy, Softmax

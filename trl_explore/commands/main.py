@@ -26,7 +26,7 @@ COMMANDS = {
     "verify": "run finished jobs again and compare the results",
 }
 LABORATORY = {
-    "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas",
+    "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas", "rich",
     "safetensors", "scipy", "yaml",
 }  # fmt: skip
 """Modules that the commands need in addition to the core; the extra ``lab`` installs them."""
@@ -61,7 +61,12 @@ def main(words: Sequence[str] | None = None) -> int:
         signals.leave_on_signals()
     sys.argv = [f"trl-explore {name}", *arguments]
     try:
-        return import_module(f"trl_explore.commands.{name}").main()
+        status = import_module(f"trl_explore.commands.{name}").main()
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:  # the reader, such as "| head", has closed the pipe
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + 13
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130

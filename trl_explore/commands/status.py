@@ -48,8 +48,6 @@ def main() -> int:
     except ResultsError as error:
         tell(error)
         return 1
-    except BrokenPipeError:  # the reader, such as "| head", has closed the pipe
-        sys.stderr.close()
     return 1 if changed else 0
 
 

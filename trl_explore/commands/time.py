@@ -23,8 +23,8 @@ from omegaconf.errors import OmegaConfBaseException
 from trl_explore import config as configuration
 from trl_explore import jobs as results
 from trl_explore.config import ConfigError
-from trl_explore.config.recorded import RecordedJob, recompose_all
-from trl_explore.jobs.console import printable, tell
+from trl_explore.config.composing import RecordedJob, recompose_all
+from trl_explore.jobs.console import Bar, printable, tell
 
 ORDER_SEED = 0
 """Seed of the order in which the trials run."""
@@ -60,12 +60,13 @@ def time_all(jobs: list[RecordedJob], trials: int) -> pd.DataFrame:
         shortest = job.trials["frames"].iloc[:trials].argmin()
         time_trial(job, int(job.trials["trial"].iloc[shortest]))
     rows = {}
+    bar = Bar("timing single trials")
     for k, i in enumerate(np.random.default_rng(ORDER_SEED).permutation(len(plan)), start=1):
         job, trial = plan[i]
         rows[i] = (job.experiment, job.folder.name, trial, *time_trial(job, trial))
-        if sys.stderr.isatty():
-            print(f"\r{k}/{len(plan)} trials", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr) if sys.stderr.isatty() else None
+        if bar.due:
+            bar.show(k, len(plan), f"{k}/{len(plan)} trials")
+    bar.close()
     return pd.DataFrame([rows[i] for i in sorted(rows)], columns=list(results.TIMING_COLUMNS))
 
 

@@ -12,9 +12,10 @@ from contextlib import suppress
 from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import hydra
+from hydra._internal.utils import get_args_parser
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
@@ -94,11 +95,11 @@ def end_interrupted(folder: Path, error: KeyboardInterrupt) -> None:
 
 def begin_worker() -> None:
     """Print only whole lines, because this process shares the terminal with others."""
-    from trl_explore.jobs.console import Progress
+    from trl_explore.jobs.console import Bar
 
     if configuration.current_choices().get("hydra/launcher") == "joblib":
         signals.end_with_parent()
-    Progress.quiet = True
+    Bar.quiet = True
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(line_buffering=True)
@@ -273,10 +274,27 @@ def own_folder() -> Path:
     return found.config_dir.resolve()
 
 
+def check_flags() -> None:
+    """Reject an unknown flag.
+
+    Raises:
+        ConfigError: naming it.
+    """
+
+    def refuse(message: str) -> NoReturn:
+        raise ConfigError(f"{message}; --hydra-help lists the flags")
+
+    parser = get_args_parser()
+    parser.error = refuse
+    parser.parse_args()
+
+
 def _reported(action: Callable[[], int]) -> int:
     """The exit status of an action; an error of the user is one line on stderr, and status 1."""
     try:
         return action()
+    except BrokenPipeError:
+        raise
     except Exception as error:
         signals.check()
         if os.environ.get(TRACEBACK) or not isinstance(error, (HydraException, *EXPECTED)):
@@ -290,6 +308,7 @@ def _reported(action: Callable[[], int]) -> int:
 def run_jobs() -> list[configuration.Ended]:
     """Run all jobs of the words in ``sys.argv``; return how each ended."""
     signals.raise_on_signals()
+    check_flags()
     folder = own_folder()
     start = hydra.main(version_base="1.3", config_path=str(folder), config_name="train")
     jobs = configuration.collect(start(run))

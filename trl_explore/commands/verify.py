@@ -16,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
 from trl_explore import jobs as results
-from trl_explore.config.recorded import RecordedJob, recompose_all
+from trl_explore.config.composing import RecordedJob, recompose_all
 from trl_explore.jobs.console import printable, tell
 
 TOLERANCE = 1e-5

@@ -20,7 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
 from trl_explore.config import ConfigError
-from trl_explore.config.recorded import RecordedJob, recompose_all
+from trl_explore.config.composing import RecordedJob, recompose_all
 from trl_explore.jobs.reading import read_job
 from trl_explore.report.factors import configuration_labels
 

@@ -12,9 +12,9 @@ from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from trl_explore.checks import check_number
-from trl_explore.config.checking import check_values, describe
+from trl_explore.config.checking import check_actions, check_values, describe
 from trl_explore.config.files import ConfigError
-from trl_explore.config.kinds import check_actions
+from trl_explore.config.importing import import_torchrl
 
 if TYPE_CHECKING:
     from torch import nn
@@ -71,6 +71,7 @@ def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shar
     Raises:
         ConfigError: if a value is not allowed; nothing has been trained or written.
     """
+    import_torchrl()
     from trl_explore.training.shards import Shards, partition
 
     fill_threshold(config)
@@ -97,6 +98,7 @@ def build_trainer(config: DictConfig, rows: slice | None = None) -> Trainer:
     Raises:
         ConfigError: if a value is not allowed.
     """
+    import_torchrl()
     fill_threshold(config)
     check_values(config)
     return _build_trainer(config, rows or slice(0, config.trials), announce=rows is None)

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, MissingConfigException
+from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
@@ -18,6 +19,7 @@ from trl_explore.config.files import (
     ConfigError,
     alike,
     defaults_of,
+    files_of,
     group_defaults,
     load,
     same,
@@ -39,6 +41,8 @@ INTEGERS = {
 """The top-level keys that hold an integer, and their bounds."""
 POLICIES = ("greedy", "sampled")
 """How evaluations play π."""
+SERVING = ("strategy", "policy")
+"""The groups whose options support one kind of action, the attribute ``actions`` of the class."""
 
 
 def check_keys(config: DictConfig, choices: Mapping[str, str | None]) -> None:
@@ -125,6 +129,11 @@ def check_values(config: DictConfig) -> None:
         raise ConfigError(first_line(error)) from None
     if isinstance(every, str) and every != "auto":
         raise ConfigError(f"evaluate_every must be auto or an integer >= 0, got {every!r}")
+    if every == 0 and config.evaluate_episodes != load("train").evaluate_episodes:
+        raise ConfigError(
+            f"evaluate_episodes={config.evaluate_episodes} needs evaluations: evaluate_every "
+            "must be auto or an integer >= 1, got 0"
+        )
     if config.evaluate_policy not in POLICIES:
         raise ConfigError(
             f"evaluate_policy must be one of {', '.join(POLICIES)}, got {config.evaluate_policy!r}"
@@ -136,6 +145,45 @@ def check_values(config: DictConfig) -> None:
         )
     if config.stop_on == "evaluation":
         raise ConfigError("stop_on=evaluation is now stop_on=learned")
+
+
+def check_actions(config: DictConfig, kind: str) -> None:
+    """Reject options that do not support the environment's actions, and name those that do.
+
+    Args:
+        config: the configuration of the job.
+        kind: the kind of the environment's actions, "discrete" or "continuous".
+
+    Raises:
+        ConfigError: if the strategy or the policy supports only the other kind.
+    """
+    wrong: list[str] = []
+    served: list[str] = []
+    for group in SERVING:
+        constructor = _constructor(config[group])
+        if getattr(constructor, "actions", kind) != kind:
+            wrong.append(constructor.__name__)
+            served.append(f"{group}={'|'.join(options(group, kind))}")
+    if wrong:
+        raise ConfigError(
+            f"the environment has {kind} actions, not supported by {' and '.join(wrong)}; "
+            f"supported by {', '.join(served)}"
+        )
+
+
+def options(group: str, kind: str) -> list[str]:
+    """The options of a group that support a kind of action."""
+    files = files_of(group).items()
+    found = ((name, _constructor(OmegaConf.load(path))) for name, path in files)
+    return [name for name, constructor in found if getattr(constructor, "actions", None) == kind]
+
+
+def _constructor(node: Any) -> Any:
+    """The class that a configuration names; None if it does not exist."""
+    try:
+        return get_object(str(node.get("_target_")))
+    except Exception:  # any error of the import; building it reports the error
+        return None
 
 
 def resolved(config: DictConfig) -> dict[str, Any]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from functools import cache, lru_cache
 from pathlib import Path
@@ -40,8 +41,8 @@ def search_in(folders: Iterable[Path]) -> None:
     wanted = [*dict.fromkeys([*(path.resolve() for path in folders), CONF])]
     if wanted != _folders:
         _folders[:] = wanted
-        load.cache_clear()
-        _defaults.cache_clear()
+        for cached in (load, group_defaults, _defaults):
+            cached.cache_clear()
 
 
 def files_of(group: str) -> dict[str, Path]:
@@ -60,7 +61,7 @@ def _defaults(items: tuple[tuple[str, str | None], ...]) -> DictConfig:
     choices = dict(items)
     defaults = load("train").copy()
     for group in GROUPS:
-        defaults[group] = group_defaults(group, choices.get(group))
+        defaults[group] = group_defaults(group, choices.get(group)).copy()
     for key, option in strategies_of(choices).items():
         OmegaConf.update(defaults, key, load(f"strategy/{option}"), merge=False)
     defaults = OmegaConf.merge(defaults, load(f"experiment/{choices.get('experiment')}"))
@@ -73,8 +74,9 @@ def _defaults(items: tuple[tuple[str, str | None], ...]) -> DictConfig:
     return defaults
 
 
+@cache
 def group_defaults(group: str, option: str | None) -> DictConfig:
-    """The values of a group: those that every option has in ``train.yaml``, then the file's own."""
+    """The values of a group: those of ``train.yaml``, then the file's own. Do not modify."""
     shared, own = load("train").get(group), load(f"{group}/{option}")
     merged = OmegaConf.merge(shared, own) if isinstance(shared, DictConfig) else own.copy()
     assert isinstance(merged, DictConfig)
@@ -131,3 +133,45 @@ def _files_of(choices: Mapping[str, str | None], prefix: str) -> dict[str, str]:
 def same(value: Any, default: Any) -> bool:
     """Whether two configuration values are equal; 1 equals 1.0, but not true."""
     return value == default and isinstance(value, bool) == isinstance(default, bool)
+
+
+def commented(text: str, choices: Mapping[str, str | None]) -> str:
+    """The YAML text of a configuration, with the comments that ``conf/`` has for its keys."""
+    names = {"": "train"} | {f"{group}.": f"{group}/{choices.get(group)}" for group in GROUPS}
+    found = {p + key: note for p, name in names.items() for key, note in _notes(name).items()}
+    out: list[str] = []
+    for key, line in _keys(text):
+        above, beside = found.get(key, ([], ""))
+        indent = line[: len(line) - len(line.lstrip())]
+        out += [indent + comment for comment in above]
+        out.append(f"{line}   {beside}" if beside else line)
+    return "\n".join(out)
+
+
+def _notes(name: str) -> dict[str, tuple[list[str], str]]:
+    """The comments of a file in ``conf/``: key -> lines above it, and the text beside it."""
+    path = next((p for folder in _folders if (p := folder / f"{name}.yaml").is_file()), None)
+    notes: dict[str, tuple[list[str], str]] = {}
+    above, last = list[str](), ""
+    for key, line in _keys(path.read_text(encoding="utf-8")) if path else ():
+        comment = line.strip()
+        if comment.startswith("#") and last and line.index("#") > 20:  # goes on from the line above
+            notes[last] = notes[last][0], f"{notes[last][1]} {comment.lstrip('# ')}"
+        elif comment.startswith("#"):
+            above.append(comment)
+        else:
+            if key:
+                beside = re.search(r"\s(# .*)", line)
+                notes[key] = above, beside[1] if beside else ""
+            above, last = [], key
+    return notes
+
+
+def _keys(text: str) -> Iterator[tuple[str, str]]:
+    """Every line of a YAML text with the key that it sets; empty if it sets none."""
+    path: list[str] = []
+    for line in text.splitlines():
+        found = re.match(r"((?:  )*)([\w.]+):", line)
+        if found:
+            path[len(found[1]) // 2 :] = [found[2]]
+        yield ".".join(path) if found else "", line

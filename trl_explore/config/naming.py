@@ -16,6 +16,7 @@ from trl_explore.config.files import (
     GROUPS,
     INERT,
     ConfigError,
+    commented,
     defaults_of,
     load,
     same,
@@ -29,9 +30,10 @@ ABSENT = object()
 
 
 def register_resolvers() -> None:
-    """Register ``${sweep_folder:}`` and ``${job_name:}`` with OmegaConf."""
+    """Register ``${sweep_folder:}``, ``${job_name:}`` and ``${commented_config:}``."""
     OmegaConf.register_new_resolver("sweep_folder", _sweep_folder, replace=True)
     OmegaConf.register_new_resolver("job_name", _job_name, replace=True)
+    OmegaConf.register_new_resolver("commented_config", _commented_config, replace=True)
 
 
 def _choices(root: DictConfig) -> Mapping[str, str | None]:
@@ -44,7 +46,10 @@ def _sweep_folder(*, _root_: DictConfig) -> str:
     output = str(_root_.output_dir or "").strip()
     if not output:
         raise ConfigError("output_dir must be the name of a folder, got an empty value")
-    expanded = Path(output).expanduser() if output.startswith("~") else Path(output)
+    try:
+        expanded = Path(output).expanduser() if output.startswith("~") else Path(output)
+    except RuntimeError:
+        raise ConfigError(f"output_dir={output}: the user of this ~ has no home folder") from None
     here = OmegaConf.select(_root_, "hydra.runtime.cwd", throw_on_missing=False) or ""
     # Absolute, because a node of Ray works in another folder than the command.
     return str(Path(here, expanded, _choices(_root_).get("experiment") or "train"))
@@ -52,6 +57,12 @@ def _sweep_folder(*, _root_: DictConfig) -> str:
 
 def _job_name(*, _root_: DictConfig) -> str:
     return job_name(_root_, _choices(_root_))
+
+
+def _commented_config(*, _root_: DictConfig) -> str:
+    """The configuration for ``--help``, whose template marks its own names with a dollar."""
+    own = OmegaConf.masked_copy(_root_, [str(key) for key in _root_ if key != "hydra"])
+    return commented(OmegaConf.to_yaml(own), _choices(_root_)).replace("$", "$$")
 
 
 def job_name(config: DictConfig, choices: Mapping[str, str | None]) -> str:

@@ -14,6 +14,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+VALIDATE = BasicSweeper.validate_batch_is_legal
 BASES = 100
 """Most choices of options whose files are kept."""
 
@@ -26,12 +27,12 @@ def plan(config: DictConfig) -> tuple[list[Path], set[int]]:
         of another configuration.
     """
     loader = GlobalHydra.instance().config_loader()
+    BasicSweeper.validate_batch_is_legal = VALIDATE
+    vars(loader)["load_sweep_config"] = composer = Composer(loader)  # also for the launcher
     words = [f"{key}={value}" for key, value in (config.hydra.sweeper.get("params") or {}).items()]
     words += [str(word) for word in config.hydra.overrides.task]
     overrides = OverridesParser.create(config_loader=loader).parse_overrides(words)
     (batch,) = BasicSweeper.split_arguments(overrides, max_batch_size=None)
-    composer = Composer(loader)
-    vars(loader)["load_sweep_config"] = composer  # for the sweeper and the launcher, too
     folders: list[Path] = []
     first: dict[Path, int] = {}
     others = set[int]()
@@ -43,6 +44,7 @@ def plan(config: DictConfig) -> tuple[list[Path], set[int]]:
         earlier = first.setdefault(folders[-1], number)
         if earlier != number and _values(job) != _values(composer(config, batch[earlier])):
             others.add(number)
+    BasicSweeper.validate_batch_is_legal = lambda self, batch: None  # the loop above has done it
     return folders, others
 
 

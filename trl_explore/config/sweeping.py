@@ -7,6 +7,7 @@ another process (``hydra/launcher=joblib``) is read from its files.
 
 from __future__ import annotations
 
+import gc
 import shutil
 import sys
 import threading
@@ -95,8 +96,12 @@ class Sweep(Callback):
             await_all(config.hydra.launcher._target_, _State.reasons.append)
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **arguments: Any) -> None:
-        """Drop the configuration, which Hydra would keep until the sweep ends."""
+        """Drop the configuration, which Hydra would keep until the sweep ends, and the garbage."""
         job_return.cfg = job_return.hydra_cfg = None
+        if not _State.frozen:
+            _State.frozen = True
+            gc.freeze()
+        gc.collect()
 
     def on_job_start(self, config: DictConfig, **arguments: Any) -> None:
         """Record whether the job that starts in this process is a duplicate."""
@@ -111,6 +116,7 @@ class _State:
     """State of this process only; it is not sent to the processes of a launcher."""
 
     leads = False
+    frozen = False
     repeated = False
     place: tuple[int, int] = (0, 1)
     sweep: Sweep | None = None

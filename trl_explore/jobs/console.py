@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Collection, Iterable, Sequence
-from shutil import get_terminal_size
 from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
@@ -20,15 +19,71 @@ REFRESH = 0.2
 """Seconds between two refreshes of the live line."""
 
 
-class Progress:
-    """A live line: trials converged so far, mean score, frames/s, upper bound on the time left.
-
-    In a sweep it starts with the number of the job and the time left for the jobs after it, if they
-    take as long as those before. Its label is cut to the width of the terminal. It prints
-    nothing if ``stream`` is not a terminal.
+class Bar:
+    """A line on a terminal, cut to its width, that shows how much is done; nothing elsewhere.
 
     Args:
-        label: the name of what is running.
+        label: what is running.
+        stream: the stream to write to.
+    """
+
+    quiet = False
+    """Whether several processes share the terminal, so that none shows a line."""
+
+    def __init__(self, label: str, stream: TextIO = sys.stderr) -> None:
+        self.live = stream.isatty() and not Bar.quiet
+        self.shown = time.perf_counter()
+        if not self.live:
+            return
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn
+        from rich.table import Column
+
+        class Visible(Console):
+            def show_cursor(self, show: bool = True) -> bool:
+                return False  # a killed process would leave it hidden
+
+        cut = (Column(no_wrap=True, overflow="ellipsis", ratio=ratio) for ratio in (1, None))
+        names = ("{task.description}", "{task.fields[text]}")
+        left, right = (
+            TextColumn(name, markup=False, table_column=column, style="")
+            for name, column in zip(names, cut, strict=True)
+        )
+        self._progress = Progress(
+            left, BarColumn(10), right, console=Visible(file=stream), auto_refresh=False,
+            transient=True, redirect_stdout=False, redirect_stderr=False, expand=True,
+        )  # fmt: skip
+        self._task = self._progress.add_task(printable(label), text="")
+
+    @property
+    def due(self) -> bool:
+        """Whether the line is shown, and its last refresh is long enough ago."""
+        return self.live and time.perf_counter() - self.shown >= REFRESH
+
+    def show(self, done: float, total: float, text: str = "") -> None:
+        """Show that ``done`` of ``total`` is done, with a text beside it."""
+        if self.live:
+            self.shown = time.perf_counter()
+            self._progress.update(self._task, completed=done, total=total, text=text)
+            if self._progress.live.is_started:
+                self._progress.refresh()
+            else:
+                self._progress.start()
+
+    def close(self) -> None:
+        """Remove the line."""
+        if self.live:
+            self._progress.stop()
+
+
+class Progress(Bar):
+    """A job's line: trials converged so far, mean score, frames/s, upper bound on the time left.
+
+    In a sweep it starts with the number of the job and the time left for the jobs after it, if they
+    take as long as those before.
+
+    Args:
+        label: the name of the job.
         records: the records of the shards; progress counts from their current state.
         stream: the stream to write to.
         place: the number of the job in its sweep, from 0, and the number of jobs.
@@ -36,8 +91,6 @@ class Progress:
 
     began = time.perf_counter()
     """When this process began its first job [s]."""
-    quiet = False
-    """Whether several processes share the terminal, so that none shows a live line."""
 
     def __init__(
         self,
@@ -46,48 +99,35 @@ class Progress:
         stream: TextIO = sys.stderr,
         place: tuple[int, int] = (0, 1),
     ) -> None:
-        self.records, self.stream = records, stream
         number, jobs = place
         if not number:
             Progress.began = time.perf_counter()
         each = (time.perf_counter() - Progress.began) / max(number, 1)
         after = f", then about {duration(each * (jobs - number - 1))}" if number else ""
-        self.label = f"{label}: " if jobs == 1 else f"{number + 1}/{jobs}{after}: {label}: "
+        super().__init__(label if jobs == 1 else f"{number + 1}/{jobs}{after}: {label}", stream)
+        self.records, self.started = records, self.shown
         self.iterations = sum(len(record) * record.iteration for record in records)
         self.frames = sum(int(record.frames.sum()) for record in records)
-        self.live = stream.isatty() and not Progress.quiet
-        self.started = self.shown = time.perf_counter()
 
     def __call__(self) -> None:
         """Show the state after an iteration, if the last refresh is long enough ago."""
-        now = time.perf_counter()
-        if not self.live or now - self.shown < REFRESH:
+        if not self.due:
             return
-        self.shown = now
-        seconds, records = now - self.started, self.records
+        seconds, records = time.perf_counter() - self.started, self.records
         trials = sum(map(len, records))
         running = [record for record in records if record.active.any()] or records[-1:]
         done = sum(len(record) * record.iteration for record in records) - self.iterations
         todo = sum(len(record) * (record.max_iterations - record.iteration) for record in running)
         shards = f"{len(records) - len(running)}/{len(records)} shards, " if records[1:] else ""
         frames = sum(int(record.frames.sum()) for record in records) - self.frames
-        line = (
+        self.show(
+            done,
+            done + todo,
             f"{shards}iteration {max(record.iteration for record in running)}, "
             f"converged {sum(int(record.converged.sum()) for record in records)}/{trials}, "
             f"mean score {sum(float(record.score.sum()) for record in records) / trials:.1f}, "
-            f"{frames / seconds:,.0f} frames/s, "
-            f"< {duration(seconds / max(done, 1) * todo)} left"
+            f"{frames / seconds:,.0f} frames/s, < {duration(seconds / max(done, 1) * todo)} left",
         )
-        width = get_terminal_size().columns - 1
-        label = self.label[: max(width - len(line), 0)]
-        self.stream.write(f"\r{label}{line[:width]}\033[K")
-        self.stream.flush()
-
-    def close(self) -> None:
-        """Remove the line."""
-        if self.live:
-            self.stream.write("\r\033[K")
-            self.stream.flush()
 
 
 def printable(text: str) -> str:

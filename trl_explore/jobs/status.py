@@ -143,13 +143,13 @@ def _job(folder: Path) -> JobStatus | None:
         return None
     if not names & MARKS or names & {SWEEP, MULTIRUN}:
         return None
-    state = DONE if RUN in names else RUNNING if is_locked(folder) else CUT
+    state = RUNNING if is_locked(folder) else CUT
     return _described(folder.name, state, _progress(folder) if CHECKPOINT in names else {})
 
 
 def _json(path: Path) -> dict[str, Any] | None:
-    """The contents of a file; None if it does not exist, empty if it is not readable."""
-    if not path.exists():
+    """The contents of a file; None if there is none, empty if it is not readable."""
+    if not path.is_file():
         return None
     try:
         content = json.loads(read_file(path))

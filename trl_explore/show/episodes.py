@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from trl_explore.collectors import EpisodeCollector
 from trl_explore.config import ConfigError, build_trainer
-from trl_explore.config.recorded import RecordedJob
+from trl_explore.config.composing import RecordedJob
 from trl_explore.envs import LaneVectorEnv
 from trl_explore.envs.gym import make_gym
 from trl_explore.envs.seeding import Source
