@@ -18,7 +18,7 @@ from trl_explore.report.factors import Factor, arguments, canonical, class_words
 from trl_explore.report.groups import Group
 from trl_explore.report.loading import Job
 from trl_explore.report.questions import Block, Question, ask, differing
-from trl_explore.report.study import MEASURES, RULES, Effect, Selector, StudyFile
+from trl_explore.report.study_file import MEASURES, RULES, Effect, Selector, StudyFile
 from trl_explore.report.tables import some
 from trl_explore.statistics.outcomes import Outcomes, judged
 from trl_explore.statistics.pairing import AGENT_GROUPS, configuration_key, deduplicate, pool

@@ -1,4 +1,4 @@
-"""The answer to *why* in sentences and tables: acting, bias, data."""
+"""The section *Why* in sentences and tables: the parts of a difference by acting, bias, data."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from trl_explore.jobs.columns import ResultsError
 from trl_explore.report.build import build_report
 from trl_explore.report.evidence import Evidence, gather
 from trl_explore.report.loading import load
-from trl_explore.report.study import read_study
+from trl_explore.report.study_file import read_study
 from trl_explore.thesis import FAILS, HOLDS, NOT_MEASURED, Claim
 
 FAST = [150 + k for k in range(20)]
