@@ -1,4 +1,5 @@
 import math
+import re
 
 import numpy as np
 import pytest
@@ -600,7 +601,7 @@ def test_call_without_a_tensordict(kind, with_trial, env):
 @pytest.mark.parametrize("missing", ["action", ("next", "reward"), ("next", "done")])
 def test_a_missing_entry(missing, env):
     loss = ReinforceLoss(tabular("torch", env)[0])
-    with pytest.raises(KeyError):
+    with pytest.raises(KeyError, match=re.escape(f"missing key: {missing!r}; the data have")):
         loss(episode(*EPISODE).exclude(missing))
 
 

@@ -32,9 +32,14 @@ def test_schedules_are_named_with_their_parameter(make):
         "T = 2 → 0.5 (linear)", "T = 5 → 0.5 (linear)"
     ]  # fmt: skip
     assert swept_parameter(jobs) == "T"
-    jobs = [job(kind="Linear", initial=2.0), job(kind="Cosine", initial=2.0, final=1.0)]
-    labels = list(configuration_labels(jobs).values())
-    assert labels == ["T = 2 → (linear)", "T = 2 → 1 (cosine)"]
+    jobs = [
+        job(kind="Linear", initial=2.0),
+        job(kind="Cosine", initial=2.0, final=1.0),
+        job(kind="Exponential", initial=2.0, decay=0.9),
+    ]
+    assert list(configuration_labels(jobs).values()) == [
+        "T = 2 → (linear)", "T = 2 → 1 (cosine)", "T = 2 → 0 (exponential, decay rate 0.9)"
+    ]  # fmt: skip
     jobs = [make([200], name="fixed", parameters={"temperature": 1.0}), job(initial=2.0, final=0.5)]
     assert list(configuration_labels(jobs).values()) == ["T = 1", "T = 2 → 0.5 (linear)"]
 

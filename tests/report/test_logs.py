@@ -82,3 +82,15 @@ def test_one_configuration_without_seeds(tmp_path, capsys):
     assert status == 0
     page = (tmp_path / "report" / "index.html").read_text()
     assert "only one configuration" in page
+
+
+def test_seeds_that_are_too_few_for_any_result_are_said_to_be(tmp_path, capsys):
+    """With three pairs, Holm's first step needs 2 / 2^n < 0.05 / 3, which is 7 seeds."""
+    lines = ["algo,seed,step,score"]
+    lines += [f"{a},{s},{t},{t * (1 + k) + s}" for k, a in enumerate("xyz") for s in range(6)
+              for t in (1, 2)]  # fmt: skip
+    (tmp_path / "runs.csv").write_text("\n".join(lines))
+    assert report(capsys, "--from", "csv", tmp_path)[0] == 0
+    text = " ".join((tmp_path / "report" / "index.html").read_text().split())
+    assert "with 6 pairs none, corrected for 3 comparisons, is ever significant at 5 %" in text
+    assert "at least 7 seeds are needed" in text

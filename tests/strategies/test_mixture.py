@@ -412,3 +412,24 @@ def test_weights_are_a_distribution_for_every_trial(weights):
 
     with pytest.raises(ValueError, match="sum to 1"):
         Own().checked_mixture(2)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(
+    "mixture",
+    [
+        Mixture(greedy=1.0),
+        Mixture(uniform=1.0),
+        Mixture(greedy=0.7, uniform=0.3),
+        Mixture(greedy=0.7, softmax=0.3, temperature=0.5),
+        Mixture(greedy=0.5, softmax=0.3, uniform=0.2),
+    ],
+)
+def test_ties_masks_and_diverged_rows_do_not_touch_their_neighbours(mixture, dtype):
+    rows = [[1, 2, 3], [4, 4, 0], [1, 5, -1], [math.nan, 0, 1], [-math.inf, 2, 2]]
+    logits = torch.tensor(rows, dtype=dtype)
+    alone = [mixture_probs(row, mixture) for row in logits]
+    assert torch.allclose(alone[0].sum(), torch.ones((), dtype=dtype))
+    for number in range(1, len(rows) + 1):
+        found = mixture_probs(logits[:number], mixture)
+        assert torch.equal(found.nan_to_num(-1), torch.stack(alone[:number]).nan_to_num(-1))

@@ -24,6 +24,8 @@ from trl_explore.statistics.outcomes import Outcomes, judged
 from trl_explore.statistics.samples import Sample
 from trl_explore.statistics.sequential import Verdict, planned_looks, settle
 
+FIRST = 20
+"""Trials of the first look."""
 MEASURES: Mapping[str, Callable[[Outcomes], Sample]] = {
     "passed": lambda o: samples.iterations(judged(o, "passed")),
     "learned": lambda o: samples.iterations(judged(o, "learned")),
@@ -42,7 +44,7 @@ def main() -> int:
         allow_abbrev=False,
         epilog="key=value are those of trl-explore train, without trials and first_trial.",
     )
-    parser.add_argument("--first", type=int, default=20, help="trials of the first look (20)")
+    parser.add_argument("--first", type=int, help="trials of the first look (20)")
     parser.add_argument(
         "--most", type=int, default=500, help="most trials of a configuration (500)"
     )
@@ -62,7 +64,8 @@ def _settle(arguments: argparse.Namespace) -> int:
     if given := [w for w in words if re.match(r"\+*(trials|first_trial)=", w)]:
         raise ConfigError(f"{given[0]}: settle chooses it; --first and --most bound the trials")
     check_level(arguments.level)
-    looks = planned_looks(arguments.first, arguments.most)
+    first = min(FIRST, arguments.most) if arguments.first is None else arguments.first
+    looks = planned_looks(first, arguments.most)
     jobs = _Jobs(words, looks[0], MEASURES[arguments.measure])
     plan = {"looks": looks, "words": words} | {
         name: getattr(arguments, name) for name in ("measure", "level", "margin")
@@ -94,7 +97,7 @@ class _Jobs:
         self.flags = _flags(words)
         self.trials: dict[str, int] = {}
         self.folders: dict[str, list[Path]] = {}
-        found = self._run([*words, f"trials={first}"])
+        found = run_jobs([*words, f"trials={first}"])
         self.sweep = found[0].parent
         parts = [folder.name.split(",") for folder in found]
         common = set.intersection(*map(set, parts))
@@ -130,20 +133,21 @@ class _Jobs:
             if (have := self.trials[name]) < n:
                 words = [w for w in _overrides(self.folders[name][0]) if w[:7] != "trials="]
                 batch = [f"trials={n - have}", f"first_trial={have}", "hydra.mode=RUN"]
-                self.folders[name] += self._run([*self.flags, *words, *batch])
+                self.folders[name] += run_jobs([*self.flags, *words, *batch])
                 self.trials[name] = n
             found[name] = pool([read_job(folder) for folder in self.folders[name]])
         for a, b in combinations(found.values(), 2):
             check_comparable(a, b)
         return {name: self.measure(outcomes) for name, outcomes in found.items()}
 
-    def _run(self, words: Sequence[str]) -> list[Path]:
-        """The folders of the jobs of a command; an error if any failed."""
-        sys.argv[1:] = words
-        jobs = train.run_jobs()
-        if failed := [job for job in jobs if job.error]:
-            raise ConfigError(f"{len(failed)} of {len(jobs)} jobs failed: {failed[0].line}")
-        return list(dict.fromkeys(job.folder for job in jobs))
+
+def run_jobs(words: Sequence[str]) -> list[Path]:
+    """The folders of the jobs of a command; an error if any failed."""
+    sys.argv[1:] = words
+    jobs = train.run_jobs()
+    if failed := [job for job in jobs if job.error]:
+        raise ConfigError(f"{len(failed)} of {len(jobs)} jobs failed: {failed[0].line}")
+    return list(dict.fromkeys(job.folder for job in jobs))
 
 
 def _flags(words: Sequence[str]) -> list[str]:

@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from trl_explore import config as configuration
 from trl_explore.commands import train
+from trl_explore.commands.settle import run_jobs
 from trl_explore.config import ConfigError
 from trl_explore.statistics.comparisons import ITERATIONS, SCORE, Measure
 from trl_explore.statistics.outcomes import Outcomes, judged
@@ -68,14 +69,14 @@ def _tune(arguments: argparse.Namespace) -> int:
         grid = {RATE: arguments.lr} | _grid(strategy, own)
         swept = [f"{key}={values}" for key, values in grid.items()]
         base = [*rest, f"strategy={strategy}"]
-        jobs = _run(["-m", *base, *swept, f"seed={tuning}", f"trials={arguments.trials}",
+        jobs = run_jobs(["-m", *base, *swept, f"seed={tuning}", f"trials={arguments.trials}",
                      f"output_dir={place / 'tuning'}"])  # fmt: skip
         tried = [(_settings(job, grid), _outcomes(job, arguments.direction)) for job in jobs]
         scores = [configuration.objective(o, arguments.direction) for _, o in tried]
         best = scores.index((min if arguments.direction == "minimize" else max)(scores))
         setting = [f"{key}={value:g}" for key, value in tried[best][0].items()]
         print(f"{strategy}: {' '.join(setting)} is the best of {len(tried)} settings", flush=True)
-        (job,) = _run([*base, *setting, f"seed={judging}", f"trials={arguments.judge}",
+        (job,) = run_jobs([*base, *setting, f"seed={judging}", f"trials={arguments.judge}",
                        f"output_dir={place / 'judging'}", "hydra.mode=RUN"])  # fmt: skip
         found.append(Tuned(strategy, tried, best, _outcomes(job, arguments.direction)))
     measure: Measure = ITERATIONS if arguments.direction == "minimize" else SCORE
@@ -102,15 +103,6 @@ def _grid(strategy: str, own: Sequence[str]) -> dict[str, str]:
         if isinstance(file, DictConfig) and key.removeprefix("strategy.") in file:
             grid[key] = values
     return grid
-
-
-def _run(words: Sequence[str]) -> list[Path]:
-    """The folders of the jobs of a command; an error if any failed."""
-    sys.argv[1:] = words
-    jobs = train.run_jobs()
-    if failed := [job for job in jobs if job.error]:
-        raise ConfigError(f"{len(failed)} of {len(jobs)} jobs failed: {failed[0].line}")
-    return list(dict.fromkeys(job.folder for job in jobs))
 
 
 def _settings(job: Path, grid: Mapping[str, str]) -> dict[str, float]:

@@ -7,7 +7,6 @@ arguments is one factor; otherwise every argument that differs is one. A schedul
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from typing import Any
 
 from trl_explore.names import OPTIONS, STRATEGIES, option_label, option_of, strategy_label, symbol
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.statistics.pairing import AGENT_GROUPS, NO_AGENT
+from trl_explore.statistics.pairing import AGENT_GROUPS, NO_AGENT, canonical
 
 Flat = Mapping[str, Any]
 """Key within a group -> value; ``_target_`` is the class."""
@@ -203,11 +202,6 @@ def value_words(value: Any) -> str:
     return str(value).rsplit(".", 1)[-1] if isinstance(value, str) else str(value)
 
 
-def canonical(value: Any) -> str:
-    """Canonical text, in which 1 and 1.0 are equal."""
-    return json.dumps(json.loads(json.dumps(value, default=str), parse_int=float), sort_keys=True)
-
-
 def _of_classes(group: str, flats: Mapping[str, Flat], classes: Mapping[str, str]) -> list[Factor]:
     """The factor of the class; arguments that are varied within a class and common to all."""
     common = set.intersection(*(set(flat) for flat in flats.values())) - {"_target_", "name"}
@@ -290,7 +284,8 @@ def _schedule_words(node: Mapping[str, Any]) -> str:
     if "final" in node:
         length = f" in {value_words(node['iterations'])}" if "iterations" in node else ""
         return f"{start} → {value_words(node['final'])}{length} ({', '.join([kind, *rest])})"
-    return f"{start} → ({', '.join([kind, *rest])})"
+    limit = "0 " if kind in ("exponential", "inverse") else ""
+    return f"{start} → {limit}({', '.join([kind, *rest])})"
 
 
 def _spaced(name: str) -> str:

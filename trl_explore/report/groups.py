@@ -262,5 +262,5 @@ def _title(experiment: str, configurations: Sequence[Outcomes]) -> str:
     what = f"{named}: values of {swept}" if swept else named
     others = [f.label for f in factors_of(configurations) if f.key != "strategy"]
     if others and not swept:
-        what = f"{named}: strategy and {listed(others)}"
+        what = f"{named}: {listed(['strategy', *others])}"
     return what if experiment == "train" else f"{experiment}: {what}"

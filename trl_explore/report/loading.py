@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import yaml
 from numpy.typing import NDArray
 
 from trl_explore import jobs as results
@@ -136,13 +137,10 @@ def _checked(outcomes: Outcomes, folder: Path) -> Outcomes:
 def _command(folder: Path) -> tuple[str, ...]:
     """The overrides of the job as Hydra recorded them; empty if they are missing."""
     try:
-        lines = (folder / ".hydra" / "overrides.yaml").read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
+        text = (folder / ".hydra" / "overrides.yaml").read_text(encoding="utf-8")
+        return tuple(map(str, yaml.safe_load(text) or ()))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, TypeError):
         return ()
-    items = [line[2:].strip() for line in lines if line.startswith("- ")]
-    return tuple(
-        i[1:-1].replace("''", "'") if len(i) > 1 and i[0] == i[-1] == "'" else i for i in items
-    )
 
 
 def _timings(sweep: Path, gaps: list[Gap]) -> pd.DataFrame | None:
@@ -206,10 +204,8 @@ def repeats(jobs: Sequence[Job]) -> list[str]:
     repeated: dict[str, list[str]] = {}
     for same in by_key.values():
         kept = deduplicate([job.outcomes for job in same])
-        counts = [
-            pair for o in kept for pair in np.column_stack(np.unique(o.seed, return_counts=True))
-        ]
-        seeds = sorted({f"{seed} ({n:,} trials)" for seed, n in counts})
+        counts = np.unique(np.concatenate([o.seed for o in kept]), return_counts=True)
+        seeds = [f"{seed} ({n:,} trials)" for seed, n in zip(*counts, strict=True)]
         name = _short(same[0].outcomes)
         if len(seeds) > 1:
             pooled.setdefault(listed(seeds), []).append(name)
@@ -232,21 +228,20 @@ def _short(o: Outcomes) -> str:
 
 def settled(jobs: Sequence[Job]) -> list[str]:
     """What was decided while trials were added, and a warning about all other numbers."""
-    sweeps = [f for f in dict.fromkeys(job.folder.parent for job in jobs) if (f / LOOKS).is_file()]
+    sweeps = dict.fromkeys(job.folder.parent for job in jobs)
     found = []
-    for sweep in sweeps:
+    for sweep in (f for f in sweeps if (f / LOOKS).is_file()):
         try:
             with (sweep / VERDICTS).open(encoding="utf-8", newline="") as file:
                 rows = [(r["first"], r["second"], r["greater mean"]) for r in csv.DictReader(file)]
         except (OSError, KeyError, csv.Error):
             rows = []
-        said = [f"{winner} has the greater mean of {a} and {b}" for a, b, winner in rows
-                if winner in (a, b)]  # fmt: skip
-        left = sum(winner == "open" for *_, winner in rows)
+        said = [f"{more} over {b if more == a else a}" for a, b, more in rows if more in (a, b)]
+        left = sum(more == "open" for *_, more in rows)
         found.append(
             "Trials were added until the comparisons were decided (until=settled). With the error"
-            f" held over all looks: {'; '.join([*said[:6], f'{left} of {len(rows)} pairs open'])}"
-            f" (all in {sweep.name}/{VERDICTS}). The p-values and intervals of this page do not"
-            " allow for the looks, and are too sure."
+            f" held over all looks, the greater mean is that of {some(said) if said else 'none'};"
+            f" {left} of {len(rows)} pairs are open (all in {sweep.name}/{VERDICTS}). The p-values"
+            " and intervals of this page do not allow for the looks, and are too sure."
         )
     return found

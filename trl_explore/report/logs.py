@@ -140,8 +140,9 @@ def _section(task: Task, id: str) -> Section:
         if compared := compare_all(known, measure):
             rows.append((measure, compared))
             title = f"{measure.name[0].upper()}{measure.name[1:]}: all pairs"
-            tables.append(Table(f"{id}-pairs-{len(rows)}", title, pair_columns(),
-                                pair_records(compared, labels), main=True))  # fmt: skip
+            records = pair_records(compared, labels)
+            tables.append(Table(f"{id}-pairs-{len(rows)}", title, pair_columns(), records,
+                                main=True, kind="cards"))  # fmt: skip
     with visual_language():
         figures = task_figures(task, id, dict(zip(names, styles(names), strict=True)))
     title = task.environment or "All runs"
@@ -160,14 +161,17 @@ def _answer(task: Task, rows: Sequence[tuple[Measure, Sequence[Comparison]]]) ->
         return [*sentences, "There is only one configuration, so nothing is compared."]
     for measure, table in rows:
         won = sorted((c for c in table if c.winner), key=lambda c: c.p_value)
-        most, fewest = max(min(c.n_a, c.n_b) for c in table), fewest_pairs()
+        most = max(min(c.n_a, c.n_b) for c in table)
+        fewest = fewest_pairs(1 - (1 - LEVEL) / len(table))
         if won:
             more = f" Of {len(table)} pairs, {len(won)} differ." if len(table) > 1 else ""
             sentences.append(pair_sentence(won[0], measure) + more)
         elif all(c.design == "paired" for c in table) and most < fewest:
+            corrected = f", corrected for {len(table)} comparisons," if len(table) > 1 else ""
             sentences.append(
-                f"No difference in {measure.name} can be established: with {most} pairs none is"
-                f" ever significant at {100 * (1 - LEVEL):g} %; at least {fewest} seeds are needed."
+                f"No difference in {measure.name} can be established: with {most} pairs none"
+                f"{corrected} is ever significant at {100 * (1 - LEVEL):g} %; at least {fewest}"
+                " seeds are needed."
             )
         elif len(table) == 1:
             sentences.append(pair_sentence(table[0], measure))
@@ -281,7 +285,7 @@ def summary_table(task: Task, id: str) -> Table:
         Column("area", "area under the curve", estimate_cell("area"), True),
     ]
     title = f"Configurations, with {100 * LEVEL:g} % intervals"
-    return Table(f"{id}-configurations", title, columns, records, main=True)
+    return Table(f"{id}-configurations", title, columns, records, main=True, kind="cards")
 
 
 def sample_mean(sample: Sample) -> Estimate:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from shlex import quote
 
 from trl_explore.report.factors import Factor
 from trl_explore.report.tables import listed
@@ -144,7 +145,7 @@ def separating(
         # By default, the learning rate is that of the policy.
         for rate in (f for f in of if f.key == RATE and not any(_belongs(w, f) for w in words)):
             words.append(f"{RATE}={float(rate.levels[pair[rate in changed]]):g}")
-        found.append(" ".join(["trl-explore train", *map(quoted, words)]))
+        found.append(" ".join(["trl-explore train", *map(quote, words)]))
     return tuple(found)
 
 
@@ -152,12 +153,6 @@ def shown(command: Sequence[str]) -> list[str]:
     """The overrides without those for output, threads and restart."""
     skipped = ("output_dir=", "threads=", "restart=", "hydra.")
     return [word for word in command if not word.startswith(skipped)]
-
-
-def quoted(word: str) -> str:
-    """The word as a shell needs it."""
-    safe = all(ch.isalnum() or ch in "=,.+-_/:@" for ch in word)
-    return word if safe else "'" + word.replace("'", "'\\''") + "'"
 
 
 def _belongs(word: str, factor: Factor) -> bool:

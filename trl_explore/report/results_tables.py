@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from shlex import quote
 from typing import Any
 
 import numpy as np
 
 from trl_explore.report.evidence import Answered, Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
-from trl_explore.report.questions import quoted, shown
+from trl_explore.report.questions import shown
 from trl_explore.report.tables import (
     Column,
     Record,
@@ -88,7 +89,8 @@ def pair_columns(
     return [
         Column("a", f"first{by}", lambda r: short(r["a"])),
         Column("b", f"second{by}", lambda r: short(r["b"])),
-        Column("winner", better, lambda r: short(r["winner"]) if r["winner"] else _undecided(r)),
+        Column("winner", better, lambda r: short(r["winner"]) if r["winner"]
+               else r["same"] or "not significant"),
         Column("difference", f"first − second{quantity}", estimate_cell("difference", text), True),
         Column("p_holm", "p (Holm)", p_cell("p_holm"), True),
         Column("better", f"first is {better} in", estimate_cell("better", _percent), True),
@@ -178,7 +180,7 @@ def jobs_table(evidence: Evidence) -> Table:
             for job in part.group.jobs[c.name]:
                 o, source = job.outcomes, job.outcomes.provenance
                 first, last = int(o.trial.min()), int(o.trial.max())
-                words = map(quoted, shown(job.command))
+                words = map(quote, shown(job.command))
                 records.append({
                     "experiment": o.experiment, "job": o.name,
                     "configuration": part.group.labels[c.name], "seed": source.get("seed"),
@@ -215,12 +217,6 @@ def gaps_table(evidence: Evidence) -> Table:
 
 def _seconds(r: Record) -> str:
     return f"{r['seconds_mean']:.3g}\n{r['timed']} timed" if r["timed"] else "–"
-
-
-def _undecided(r: Record) -> str:
-    if r["sd"] == 0 and r["difference"] == 0:  # in every trial
-        return "neither passes" if r["mean_a"] == r["cap"] else "identical"
-    return "not significant"
 
 
 def _compared(r: Record) -> str:

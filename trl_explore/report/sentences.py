@@ -170,15 +170,13 @@ def option_sentences(
             ]
             if rows:
                 parts.append(f"{word} iterations under {some(rows)}")
-        same = [r for r, c in found if _identical(c)]
-        if same:
-            parts.append(f"identical trials under {some(same)}")
-        never = [r for r, c in found if _never(c)]
-        if never:
-            parts.append(f"no trial passes with either under {some(never)}")
-        unclear = [r for r, c in found if c.winner is None and not _identical(c) and not _never(c)]
-        if unclear:
-            parts.append(f"no significant difference under {some(unclear)}")
+        for same, text in (
+            ("identical", "identical trials under"),
+            ("neither passes", "no trial passes with either under"),
+            ("", "no significant difference under"),
+        ):
+            rows = [row for row, c in found if c.winner is None and c.same == same]
+            parts += [f"{text} {some(rows)}"] if rows else []
         sentences.append(f"{_capital(option)} against {first}: {'; '.join(parts)}.")
     return tuple(sentences)
 
@@ -327,15 +325,6 @@ def _passes(c: Outcomes, level: float) -> str:
 
 def _did(configurations: Sequence[Outcomes]) -> str:
     return "learned" if configurations[0].measure == "learned" else "passed"
-
-
-def _identical(c: Comparison) -> bool:
-    """Whether every trial took equally many iterations under both, and some converged."""
-    return c.sd == 0 and c.difference.value == 0 and not _never(c)
-
-
-def _never(c: Comparison) -> bool:
-    return c.mean_a == c.mean_b == c.cap
 
 
 def _count(n: int, one: str, many: str) -> str:

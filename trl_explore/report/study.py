@@ -27,7 +27,7 @@ questions from what differs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -113,6 +113,8 @@ def read_study(path: Path) -> StudyFile:
             _refuse(path, str(key), content[key], f"the keys are {', '.join(KEYS)}")
     _check_values(path, content)
     folders, sweeps = _configurations(path, content.get("configurations"))
+    if "until" in content and not sweeps:
+        _refuse(path, "until", content["until"], "a sweep among the configurations is needed")
     claims = content.get("claims", ())
     if claims != "thesis":
         claims = tuple(_items(path, "claims", claims))
@@ -122,21 +124,18 @@ def read_study(path: Path) -> StudyFile:
     for item in left:
         _check_selector(path, "leave_out", item)
     measures = _items(path, "measures", content.get("measures", list(MEASURES)))
-    level = content.get("level", LEVEL)
+    compare = _items(path, "compare", content.get("compare", ()))
     return StudyFile(
         title=content.get("title", ""),
         question=content.get("question", ""),
         folders=folders,
         sweeps=sweeps,
-        compare=tuple(
-            _comparison(path, f"compare[{k}]", item)
-            for k, item in enumerate(_items(path, "compare", content.get("compare", ())))
-        ),
+        compare=tuple(_comparison(path, f"compare[{k}]", c) for k, c in enumerate(compare)),
         measures=tuple(measures),
         claims=claims,
-        level=float(level),
+        level=float(content.get("level", LEVEL)),
         leave_out=tuple(left),
-        budget=_budget(path, content, bool(sweeps)),
+        budget=content.get("budget", BUDGET) if "until" in content else None,
         path=path,
     )
 
@@ -146,25 +145,26 @@ def _check_values(path: Path, content: Mapping[str, Any]) -> None:
     for measure in _items(path, "measures", content.get("measures", ())):
         if measure not in MEASURES:
             _refuse(path, "measures", measure, f"{', '.join(MEASURES)} are possible")
-    level = content.get("level", LEVEL)
-    if isinstance(level, bool) or not isinstance(level, int | float) or not 0.5 <= level < 1:
-        _refuse(path, "level", level, "a number from 0.5 to below 1 is possible, such as 0.95")
-    for key in ("title", "question"):
-        if not isinstance(content.get(key, ""), str):
-            _refuse(path, key, content[key], "a text is possible")
+    for key, (right, allowed) in VALUES.items():
+        if key in content and not right(content[key]):
+            _refuse(path, key, content[key], allowed)
+    if "budget" in content and "until" not in content:
+        _refuse(path, "budget", content["budget"], "until: settled is needed")
 
 
-def _budget(path: Path, content: Mapping[str, Any], sweeps: bool) -> int | None:
-    until, budget = content.get("until"), content.get("budget", BUDGET)
-    if "until" not in content and "budget" not in content:
-        return None
-    if until != "settled":
-        _refuse(path, "until", until, "settled is possible")
-    if not sweeps:
-        _refuse(path, "until", until, "a sweep among the configurations is needed")
-    if isinstance(budget, bool) or not isinstance(budget, int) or budget < FEWEST:
-        _refuse(path, "budget", budget, f"an integer from {FEWEST} is possible")
-    return budget
+def _number(value: Any, kind: type = float) -> bool:
+    return isinstance(value, int | kind) and not isinstance(value, bool)
+
+
+VALUES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+    "title": (lambda v: isinstance(v, str), "a text is possible"),
+    "question": (lambda v: isinstance(v, str), "a text is possible"),
+    "level": (lambda v: _number(v) and 0.5 <= v < 1,
+              "a number from 0.5 to below 1 is possible, such as 0.95"),
+    "until": (lambda v: v == "settled", "settled is possible"),
+    "budget": (lambda v: _number(v, int) and v >= FEWEST, f"an integer from {FEWEST} is possible"),
+}  # fmt: skip
+"""Key -> whether a value is right, and what is allowed."""
 
 
 def _configurations(path: Path, value: Any) -> tuple[tuple[Path, ...], tuple[tuple[str, ...], ...]]:
@@ -257,7 +257,7 @@ def _wrong(key: str, value: Any) -> str:
         return "" if _is_selector(value) else SELECTORS
     if key == "measure":
         return "" if value in UNITS else f"{', '.join(UNITS)} are possible"
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if not _number(value):
         return "a number is possible"
     share = key in ("above", "below") and not 0 < value < 1
     return "a share between 0 and 1 is possible" if share else ""

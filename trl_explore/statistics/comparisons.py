@@ -114,9 +114,16 @@ class Comparison:
         second = self.difference.above(0.0) if self.less_is_better else self.difference.below(0.0)
         return self.a if first else self.b if second else None
 
+    @property
+    def same(self) -> str:
+        """``identical`` if all pairs are; of times at the cap, ``neither passes``; else empty."""
+        if self.sd != 0 or self.difference.value != 0:
+            return ""
+        return "neither passes" if self.less_is_better and self.mean_a == self.cap else "identical"
+
     def row(self) -> dict[str, Any]:
         """Flat dictionary for a table; each estimate as ``x``, ``x_low``, ``x_high``."""
-        return flat(vars(self)) | {"winner": self.winner}
+        return flat(vars(self)) | {"winner": self.winner, "same": self.same}
 
 
 def compare(
@@ -193,26 +200,14 @@ def _compared(
             -x.values, always[0], -y.values, always[1], paired=paired, level=level
         )
     comparison = Comparison(
-        a=a.name,
-        b=b.name,
-        measure=measure.name,
-        less_is_better=measure.less_is_better,
-        design="paired" if paired else "unpaired",
-        n_a=len(x),
-        n_b=len(y),
-        dropped=len(a) + len(b) - len(x) - len(y),
-        cap=a.cap,
-        mean_a=float(x.values.mean()),
-        mean_b=float(y.values.mean()),
-        difference=result.estimate,
-        p_value=result.p_value,
-        p_holm=result.p_value,
-        p_logrank=p_logrank,
-        better=better,
-        correlation=result.correlation,
-        variance_ratio=result.variance_ratio,
-        sd=result.sd,
-    )
+        a=a.name, b=b.name, measure=measure.name, less_is_better=measure.less_is_better,
+        design="paired" if paired else "unpaired", n_a=len(x), n_b=len(y),
+        dropped=len(a) + len(b) - len(x) - len(y), cap=a.cap,
+        mean_a=float(x.values.mean()), mean_b=float(y.values.mean()),
+        difference=result.estimate, p_value=result.p_value, p_holm=result.p_value,
+        p_logrank=p_logrank, better=better, correlation=result.correlation,
+        variance_ratio=result.variance_ratio, sd=result.sd,
+    )  # fmt: skip
     return comparison, result
 
 

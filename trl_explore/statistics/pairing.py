@@ -49,8 +49,12 @@ def configuration_key(outcomes: Outcomes) -> str:
     groups = {key: outcomes.config[key] for key in AGENT_GROUPS if outcomes.config.get(key)}
     if isinstance(env := groups.get("env"), Mapping):
         groups["env"] = {key: value for key, value in env.items() if key not in NO_AGENT}
-    content = [outcomes.strategy, _canonical(outcomes.parameters), _canonical(groups)]
-    return json.dumps(content, sort_keys=True, default=str)
+    return canonical([outcomes.strategy, outcomes.parameters, groups])
+
+
+def canonical(value: Any) -> str:
+    """Canonical text of nested values, in which 1 and 1.0 are equal."""
+    return json.dumps(json.loads(json.dumps(value, default=str), parse_int=float), sort_keys=True)
 
 
 def trial_keys(outcomes: Outcomes) -> list[tuple[int, int]]:
@@ -176,13 +180,3 @@ def check_comparable(a: Outcomes, b: Outcomes) -> None:
 
 def _text(value: float | str) -> str:
     return value if isinstance(value, str) else f"{value:g}"
-
-
-def _canonical(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _canonical(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_canonical(item) for item in value]
-    if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-        return float(value)
-    return value

@@ -30,9 +30,9 @@ class ContinuousStrategy(BaseStrategy):
     With ``squashed``, π is TorchRL's ``TanhNormal(loc, scale, low=low, high=high)``: the tanh of
     the Gaussian, scaled to the box.
 
-    The strategy explores if TorchRL's exploration type is RANDOM or unset. Under MODE, MEAN or
-    DETERMINISTIC it takes loc (its tanh if squashed), with log-probability 0: that of a certain
-    action, not a density.
+    The strategy explores if TorchRL's exploration type is RANDOM or unset. Under any other
+    type it takes loc (its tanh if squashed), with log-probability 0: that of a certain action, not
+    a density.
 
     Reads "loc" and "scale" [*batch, n_dims]; a strategy that does not use the scale works with a
     deterministic actor.

@@ -33,8 +33,8 @@ class Strategy(BaseStrategy):
 
         a = min{k : Σ_{j ≤ k} μ(j|s) > u}
 
-    The strategy explores if TorchRL's exploration type is RANDOM or unset. Under MODE, MEAN or
-    DETERMINISTIC it takes the first action of largest logit, with log-probability 0.
+    The strategy explores if TorchRL's exploration type is RANDOM or unset. Under any other
+    type it takes the first action of largest logit, with log-probability 0.
 
     Reads "logits" [*batch, n_actions] and, if present, "action_mask" [*batch, n_actions] (bool
     or 0 and 1; False: μ forbids the action). A mask in the spec (``spec.update_mask``, TorchRL's

@@ -157,7 +157,7 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
         tensor([0.0500, 0.4500, 0.0500, 0.4500])
     """
     limits = torch.finfo(logits.dtype)
-    soft, uniform = present(mixture.softmax), present(mixture.uniform)
+    greedy, soft, uniform = map(present, mixture[:3])
     if not soft:
         logits = actions_outermost(logits)
     largest, found = logits.amax(-1, keepdim=True), None
@@ -171,25 +171,42 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
         power = exponent.exp()
         found = power / power.sum(-1, keepdim=True)
         found = found if is_one(mixture.softmax) else found * cast(Tensor, mixture.softmax)
-    if present(mixture.greedy):
+    each = _number_of_all(logits, mixture.uniform) if greedy or uniform else 0.0
+    if greedy:
         # A row of −∞ has no best action; the other parts find that by themselves.
-        floor = largest if soft or uniform else largest.clamp(min=limits.min)
-        found = _plus_share(found, logits >= floor, logits.dtype, mixture.greedy)
+        best = logits >= (largest if soft or uniform else largest.clamp(min=limits.min))
+        weight = mixture.greedy
+        if each is None or not isinstance(weight, float) or _have_ties(best):
+            found = _plus_share(found, best, logits.dtype, weight)
+        elif found is not None:
+            found = torch.add(found, best, alpha=weight)
+        else:
+            highest = _number_like(logits)(weight) + _number_like(logits)(each)
+            return torch.full_like(logits, each).masked_fill_(best, float(highest))
     if not uniform:
         return torch.zeros_like(logits) if found is None else found
-    each = _number_of_all(logits, mixture.uniform)
     if each is None:
         return _plus_share(found, logits >= limits.min, logits.dtype, mixture.uniform)
     return torch.full_like(logits, each) if found is None else found + each
 
 
 def _number_of_all(logits: Tensor, weight: Value | Tensor) -> float | None:
-    """Each action's part of a weight that all share; None if a logit is −∞ or cannot be read."""
+    """Each action's part of a weight that all share; None if a logit is −∞, NaN or not readable."""
     plain = isinstance(weight, float) and logits.numel() > 0 and readable(logits)
-    if not plain or logits.amin().item() < torch.finfo(logits.dtype).min:
+    if not (plain and logits.amin().item() >= torch.finfo(logits.dtype).min):
         return None
-    number = np.float32 if logits.dtype is torch.float32 else np.float64
+    number = _number_like(logits)
     return float(number(1) / number(logits.shape[-1]) * number(weight))
+
+
+def _number_like(logits: Tensor) -> type[np.floating]:
+    """The numbers of numpy that round as the logits."""
+    return np.float32 if logits.dtype is torch.float32 else np.float64
+
+
+def _have_ties(best: Tensor) -> bool:
+    """Whether a row has more than one best action, if every row has one [*batch, n_actions]."""
+    return best.count_nonzero().item() * best.shape[-1] != best.numel()
 
 
 def _plus_share(

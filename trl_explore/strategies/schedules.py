@@ -139,15 +139,7 @@ class Cosine(_Walk):
     Slow at both ends and fastest in the middle (Loshchilov & Hutter 2017, "SGDR", eq. 5, without
     restarts).
 
-    Args:
-        initial: the value at 0.
-        final: the value at the end and later.
-        iterations: the number of iterations until ``final``, >= 1.
-        frames: the number of frames until ``final``, >= 1, in place of ``iterations``; i is then
-            the number of frames.
-
-    Raises:
-        ValueError: if a value is not finite, or not exactly one length >= 1 is given.
+    Arguments are those of ``Linear``.
 
     Example:
         >>> [round(Cosine(1.0, 0.0, iterations=3)(i), 6) for i in (0, 1, 2, 3, 9)]

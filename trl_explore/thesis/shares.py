@@ -40,31 +40,23 @@ def all_passing(study: Study, jobs: Mapping[str, Outcomes], **bound: float) -> F
 
 def never_passes(strategy: str) -> Decision:
     """Fewer than 1 % of the trials of a strategy pass."""
-
-    def decide(study: Study) -> Finding:
-        o = study.strategy(strategy)
-        return rules.never(
-            int(o.converged.sum()), len(o), f"{strategy_label(strategy)} trials pass"
-        )(study.level)
-
-    return decide
+    return lambda study: _share(study, strategy, rules.never, "pass")
 
 
 def never_fails(strategy: str) -> Decision:
     """Fewer than 1 % of the trials of a strategy fail."""
-    return lambda study: _failures(study, strategy, rules.never)
+    return lambda study: _share(study, strategy, rules.never, "fail")
 
 
 def sometimes_fails(strategy: str) -> Decision:
     """More than 1 % of the trials of a strategy fail."""
-    return lambda study: _failures(study, strategy, rules.some)
+    return lambda study: _share(study, strategy, rules.some, "fail")
 
 
-def _failures(study: Study, strategy: str, rule: Callable[..., rules.Rule]) -> Finding:
+def _share(study: Study, strategy: str, rule: Callable[..., rules.Rule], what: str) -> Finding:
     o = study.strategy(strategy)
-    return rule(int((~o.converged).sum()), len(o), f"{strategy_label(strategy)} trials fail")(
-        study.level
-    )
+    count = int(np.count_nonzero(o.converged == (what == "pass")))
+    return rule(count, len(o), f"{strategy_label(strategy)} trials {what}")(study.level)
 
 
 def only_one_epsilon_passes(study: Study) -> Finding:

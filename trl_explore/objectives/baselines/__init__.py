@@ -1,8 +1,14 @@
 """Baselines b_t, subtracted from the return; each uses the trial's own data only."""
 
-from trl_explore.objectives.baselines.baseline import Baseline, Constant, as_baseline
+from trl_explore.objectives.baselines.baseline import (
+    Baseline,
+    Constant,
+    EpisodeMean,
+    LeaveOneOut,
+    StepMean,
+    as_baseline,
+)
 from trl_explore.objectives.baselines.linear_value import LinearValue
-from trl_explore.objectives.baselines.means import EpisodeMean, LeaveOneOut, StepMean
 
 __all__ = [
     "Baseline",
