@@ -244,6 +244,15 @@ def test_a_copy_that_cannot_be_built_is_placed(odd, monkeypatch):
         play(odd)
 
 
+def test_the_whole_message_of_a_constructor_is_one_line(odd, monkeypatch):
+    def build(self):
+        raise ValueError("render_mode must be\none of rgb_array")
+
+    monkeypatch.setattr(Odd, "__init__", build)
+    with pytest.raises(ValueError, match="ValueError: render_mode must be one of rgb_array"):
+        LaneVectorEnv(odd, 1)
+
+
 def test_ctrl_c_is_no_error_of_the_environment(odd, monkeypatch):
     def interrupt():
         raise KeyboardInterrupt

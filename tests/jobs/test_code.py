@@ -53,3 +53,10 @@ def test_the_code_of_this_package_counts_for_unfinished_jobs_only():
     assert changed_code(before, now)
     assert changed_code(before, now, own=False) == []
     assert changed_code({}, now) == []  # results that recorded no code
+
+
+def test_a_module_that_only_one_run_names_has_changed():
+    before = {"trl_explore": "1", "mine": "2"}
+    assert changed_code(before, {"trl_explore": "1"}) == ["code of mine has changed"]
+    assert changed_code({"trl_explore": "1"}, before) == ["code of mine has changed"]
+    assert changed_code({}, before) == []  # results of older versions have no digests

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -134,22 +135,24 @@ def test_a_file_that_cannot_be_opened_is_one_line(sweep, monkeypatch):
 
 
 def test_contents_are_on_disk_before_the_name_is(tmp_path, monkeypatch):
-    """After a power failure, a name must not lead to contents that were never written."""
-    steps = []
+    """After a power failure, a name must not lead to contents that were never written.
+
+    The same holds for ``run.json``: the names of all other files are on disk before it is written.
+    """
+    steps, job = [], tmp_path / "job"
     fsync, replace = os.fsync, Path.replace
 
     def note(file):
-        steps.append("fsync")
+        steps.append("folder" if os.path.samestat(os.fstat(file), job.stat()) else "file")
         fsync(file)
 
     def rename(path, target):
-        steps.append("rename")
+        steps.append(f"name {Path(target).name}")
         return replace(path, target)
 
     monkeypatch.setattr(os, "fsync", note)
     monkeypatch.setattr(Path, "replace", rename)
-    write(tmp_path / "job")
-    assert "rename" in steps
-    for k, step in enumerate(steps):
-        if step == "rename":
-            assert steps[k - 1] == "fsync"
+    write(job)
+    for before, step in pairwise(steps):
+        assert before == "file" or not step.startswith("name")
+    assert steps[-3:] == ["folder", "file", "name run.json"]

@@ -69,8 +69,8 @@ def objective(outcomes: Outcomes, direction: str) -> float:
         outcomes = measured(outcomes)
         return float(np.where(outcomes.converged, outcomes.iterations, outcomes.cap).mean())
     scores = outcomes.score if outcomes.learned_score is None else outcomes.learned_score
-    bad = (outcomes.status == "diverged") | ~np.isfinite(scores)
-    return float(np.where(bad, _lowest(outcomes.config.get("env")), scores).mean())
+    diverged = outcomes.status == "diverged"
+    return float(np.where(diverged, _lowest(outcomes.config.get("env")), scores).mean())
 
 
 def measured(outcomes: Outcomes) -> Outcomes:

@@ -72,7 +72,7 @@ def _wrap(id: str, env: gym.Env, wrapper: Callable[[gym.Env], gym.Env]) -> gym.E
     except Exception as error:
         raise ValueError(
             f"the wrapper {name} rejects environment {id!r} or its arguments: "
-            f"{type(error).__name__}: {first_line(error)}"
+            f"{type(error).__name__}: {_whole(error)}"
         ) from error
     if not isinstance(wrapped, gym.Env):
         raise ValueError(
@@ -103,11 +103,16 @@ def _construct(id: str, max_steps: int | None, kwargs: dict[str, Any]) -> gym.En
         raise ValueError(f"unknown environment id {id!r}: {first_line(error)}") from error
     except (Exception, SystemExit) as error:
         raise ValueError(
-            f"environment {id!r} rejects its arguments: {type(error).__name__}: {first_line(error)}"
+            f"environment {id!r} rejects its arguments: {type(error).__name__}: {_whole(error)}"
         ) from error
     for warning in caught:
         warnings.warn(warning.message, warning.category, stacklevel=2)
     return env
+
+
+def _whole(error: BaseException) -> str:
+    """The message of somebody else's code, which may have several lines, as one line."""
+    return " ".join(str(error).split())[:1000]
 
 
 def _missing(id: str, error: ModuleNotFoundError) -> str:

@@ -167,6 +167,7 @@ class SteppingCollector(EpisodeCollector):
         size = max(1, self._form.n_dims)
         action = state.action.reshape(-1, size) if self._continuous else state.action
         context, rows = self._context(), state.rows
+        own = rows
         left, place = turn(BEGIN | after, *context[:2], place, left, *context[2:], self._log)
         while left > 0:
             if modules:
@@ -176,8 +177,9 @@ class SteppingCollector(EpisodeCollector):
             lanes.check()
             if place + 2 * left > self._capacity:
                 self._reserve(2 * self._capacity, place + left)
-            own, first = rows[:left].copy(), place
+            first = place
             if transformed:
+                own = rows[:left].copy()
                 transformed.step(own, action[:left])
             left, place = turn(RECORD | after, *context[:2], place, left, *context[2:], self._log)
             if transformed:
