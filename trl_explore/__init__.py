@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from trl_explore.collectors import auto_collector
     from trl_explore.config.composing import train
     from trl_explore.envs import make_env
-    from trl_explore.jobs.frame import read_frame
+    from trl_explore.jobs.reading import read_frame
     from trl_explore.objectives import ReinforceLoss
     from trl_explore.policies import LinearPolicy
     from trl_explore.strategies import (
@@ -47,7 +47,7 @@ _PLACES = {
     "Trainer": "training.trainer",
     "auto_collector": "collectors",
     "make_env": "envs",
-    "read_frame": "jobs.frame",
+    "read_frame": "jobs.reading",
     "train": "config.composing",
 }
 """The module of each name that is not a strategy."""

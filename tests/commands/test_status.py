@@ -14,7 +14,7 @@ from trl_explore.jobs import sweeps
 from trl_explore.jobs.checkpoint import Store, pack
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.lock import Lock
-from trl_explore.jobs.status import report, survey
+from trl_explore.jobs.sweeps import report, survey
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "status.py"
 REASON = "epsilon must be a number in [0, 1], got 2"

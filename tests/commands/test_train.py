@@ -23,7 +23,7 @@ from trl_explore.jobs.columns import (
     PASS_COLUMNS,
     TRIAL_COLUMNS,
 )
-from trl_explore.jobs.frame import read_frame, read_jobs
+from trl_explore.jobs.reading import read_frame, read_jobs
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "train.py"
 TINY = ["trials=2", "max_iterations=3"]

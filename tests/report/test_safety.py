@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from trl_explore.config import job_name, recorded, register_resolvers
+from trl_explore.config import composing, job_name, register_resolvers
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.reading import find_folders, find_jobs
 from trl_explore.report.build import build_report
@@ -115,7 +115,7 @@ def test_the_only_resolvers_are_two_names():
     ],
 )
 def test_a_recorded_configuration_constructs_what_conf_does(target, known):
-    assert recorded._is_known(target) == known
+    assert composing._is_known(target) == known
 
 
 # The report

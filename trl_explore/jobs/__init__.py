@@ -27,20 +27,24 @@ from trl_explore.jobs.columns import (
     TRIALS,
 )
 from trl_explore.jobs.files import SMALL, ResultsError, check_files, flaws
-from trl_explore.jobs.frame import read_frame, read_jobs
 from trl_explore.jobs.reading import (
     find_folders,
     find_jobs,
     is_finished,
-    read_curves,
-    read_episodes,
+    read_frame,
     read_job,
+    read_jobs,
     read_run,
-    read_timings,
     read_trials,
+)
+from trl_explore.jobs.records import (
+    read_curves,
+    read_diagnostics,
+    read_episodes,
+    read_evaluations,
+    read_timings,
     read_weights,
 )
-from trl_explore.jobs.records import read_diagnostics, read_evaluations
 from trl_explore.jobs.writing import clear, versions, write_job, write_timings
 from trl_explore.training.quantities import DIAGNOSTIC_COLUMNS
 

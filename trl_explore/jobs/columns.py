@@ -8,7 +8,7 @@ file is rejected.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -189,9 +189,7 @@ def read_table(
     for group in groups:
         if any(name in names for name in group):
             columns = {**columns, **group}
-    missing = [name for name in columns if name not in names]
-    if missing:
-        raise ResultsError(f"{path}: missing column: {', '.join(missing)}")
+    check_present(path, columns, names)
     twice = [name for name in columns if names.count(name) > 1]
     if twice:
         raise ResultsError(f"{path}: duplicate column {twice[0]}")
@@ -203,6 +201,12 @@ def read_table(
         except ValueError as error:
             raise ResultsError(f"{path}: column {name} {error}") from None
     return found
+
+
+def check_present(path: Path, columns: Iterable[str], names: Container[str]) -> None:
+    """Raise a ``ResultsError`` if a table with these names lacks some of the columns."""
+    if missing := [name for name in columns if name not in names]:
+        raise ResultsError(f"{path}: missing column: {', '.join(missing)}")
 
 
 def _fields(path: Path) -> list[list[str]]:

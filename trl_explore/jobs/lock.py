@@ -233,13 +233,18 @@ def _runs(text: str) -> bool | None:
     host, pid, birth = text.split()
     if host != socket.gethostname():
         return None
+    return is_alive(int(pid)) and _birth(int(pid)) == birth
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process of this computer runs."""
     try:
-        os.kill(int(pid), 0)
+        os.kill(pid, 0)
     except (ProcessLookupError, OverflowError):
         return False
     except OSError:
         pass  # the process of another user
-    return _birth(int(pid)) == birth
+    return True
 
 
 def _birth(pid: int) -> str:

@@ -1,12 +1,11 @@
-"""Find jobs, and read and check their files."""
+"""Find jobs, and read their outcomes: ``run.json`` and ``trials.csv``, one job or many."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-from collections.abc import Iterable
-from io import BytesIO
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from sys import float_info
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,29 +13,24 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trl_explore.checks import LARGEST, first_line
+from trl_explore.checks import LARGEST
 from trl_explore.jobs.columns import (
-    CURVE_COLUMNS,
-    EPISODE_COLUMNS,
-    EPISODES,
-    KEPT,
     LEARN_COLUMNS,
     PASS_COLUMNS,
     SCALARS,
-    TIMING_COLUMNS,
-    TIMINGS,
     TRIAL_COLUMNS,
     TRIALS,
-    WEIGHTS,
     read_table,
 )
 from trl_explore.jobs.files import RUN, ResultsError, check_files, read_file
-from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.outcomes import PER_TRIAL, Outcomes
 
 if TYPE_CHECKING:
     import pandas as pd
 
 FINITE = float_info.max
+LABELS = ("experiment", "job", "folder", "strategy")
+"""The first columns of ``read_frame``."""
 
 
 class Field(NamedTuple):
@@ -107,10 +101,10 @@ def read_trials(job: Path) -> pd.DataFrame:
     """
     import pandas as pd
 
-    return pd.DataFrame(_trials(job))
+    return pd.DataFrame(read_columns(job))
 
 
-def _trials(job: Path, run: dict[str, Any] | None = None) -> dict[str, NDArray[Any]]:
+def read_columns(job: Path, run: dict[str, Any] | None = None) -> dict[str, NDArray[Any]]:
     """The columns of ``trials.csv``, each [n_trials]; ``run``: the contents of ``run.json``."""
     columns = read_table(job / TRIALS, TRIAL_COLUMNS, PASS_COLUMNS, LEARN_COLUMNS)
     if (columns["iterations"] < 1).any() or (columns["frames"] < 1).any():
@@ -132,124 +126,6 @@ def _trials(job: Path, run: dict[str, Any] | None = None) -> dict[str, NDArray[A
     return columns
 
 
-def read_episodes(job: Path) -> pd.DataFrame:
-    """Read ``episodes.csv`` and check it against ``trials.csv``.
-
-    Raises:
-        ResultsError: if the file is missing, truncated or invalid.
-    """
-    frame, trials = _read_csv(job / EPISODES, EPISODE_COLUMNS), _trials(job)
-    for name in ("trial", "iteration", "frames"):
-        if frame[name].dtype.kind != "i":
-            raise ResultsError(f"{job / EPISODES}: column {name} does not hold integers")
-    if frame["score"].dtype.kind not in "fi" or not np.isfinite(frame["score"]).all():
-        raise ResultsError(f"{job / EPISODES}: column score does not hold finite numbers")
-    groups = frame.groupby(["trial", "iteration"])["frames"].agg(["size", "sum"]).reset_index()
-    trial, iteration, size, total = groups.to_numpy(dtype=np.int64).T
-    row = np.repeat(np.arange(len(trials["trial"])), trials["iterations"])
-    begun = np.cumsum(trials["iterations"]) - trials["iterations"]
-    same = (
-        np.array_equal(trial, trials["trial"][row])
-        and np.array_equal(iteration, np.arange(1, len(row) + 1) - begun[row])
-        and bool((size == size[:1]).all())  # episodes of an iteration
-        and np.array_equal(np.bincount(row, weights=total), trials["frames"])
-    )
-    if not same:
-        raise ResultsError(f"{job / EPISODES}: its episodes do not match {TRIALS}")
-    check_files(job, names=[EPISODES])
-    return frame
-
-
-def read_weights(job: Path, *, kept: bool = False) -> dict[str, NDArray[Any]]:
-    """The weights of the final policy: name -> array [trials, ...].
-
-    Args:
-        job: the folder of the job.
-        kept: the weights along the way instead, by "iteration/name"; empty if none were kept.
-
-    Raises:
-        ResultsError: if the file is missing or damaged.
-    """
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
-
-    name = KEPT if kept else WEIGHTS
-    path = job / name
-    check_files(job, names=[name])
-    try:
-        return load(read_file(path))
-    except FileNotFoundError:
-        if kept:
-            return {}
-        raise ResultsError(f"{path}: missing") from None
-    except (SafetensorError, OSError) as error:
-        raise ResultsError(f"{path}: not readable as weights ({error})") from None
-
-
-def read_timings(sweep: Path) -> pd.DataFrame | None:
-    """Read and check ``timings.csv`` of a sweep; None if nothing was timed.
-
-    Raises:
-        ResultsError: if the file is truncated or invalid.
-    """
-    if not (sweep / TIMINGS).exists():
-        return None
-    frame = _read_csv(sweep / TIMINGS, TIMING_COLUMNS)
-    seconds = frame["seconds"].to_numpy()
-    if not (
-        frame["trial"].dtype.kind == "i"
-        and seconds.dtype.kind in "fi"
-        and bool(np.all(np.isfinite(seconds) & (seconds > 0)))
-    ):
-        raise ResultsError(f"{sweep / TIMINGS}: column trial or seconds has the wrong type")
-    if frame.duplicated(["experiment", "job", "trial"]).any():
-        raise ResultsError(f"{sweep / TIMINGS}: a trial occurs twice")
-    return frame.astype({"experiment": str, "job": str})
-
-
-def read_curves(job: Path) -> pd.DataFrame:
-    """The learning curves of a job, one column for each, indexed by iteration (from 1).
-
-    Raises:
-        ResultsError: if there are no curves, or a file is invalid.
-    """
-    import pandas as pd
-
-    files = sorted((job / SCALARS).glob("*.csv"))
-    if not files:
-        raise ResultsError(f"{job / SCALARS}: no learning curves")
-    curves = {}
-    for file in files:
-        columns = read_table(file, CURVE_COLUMNS, header=False)
-        if not np.array_equal(columns["iteration"], np.arange(1, len(columns["value"]) + 1)):
-            raise ResultsError(f"{file}: the iterations are not consecutive")
-        curves[file.stem] = columns["value"]
-    if len({len(curve) for curve in curves.values()}) > 1:
-        raise ResultsError(f"{job / SCALARS}: the curves differ in length")
-    check_files(job, names=[file.relative_to(job).as_posix() for file in files])
-    index = pd.RangeIndex(1, 1 + len(next(iter(curves.values()))), name="iteration")
-    return pd.DataFrame(curves, index=index)
-
-
-def _read_csv(path: Path, columns: Iterable[str]) -> pd.DataFrame:
-    import pandas as pd
-
-    try:
-        frame = pd.read_csv(BytesIO(read_file(path)))
-    except FileNotFoundError:
-        raise ResultsError(f"{path}: missing") from None
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"{path}: not readable as CSV ({first_line(error)})") from None
-    missing = [name for name in columns if name not in frame.columns]
-    if missing:
-        raise ResultsError(f"{path}: missing column: {', '.join(missing)}")
-    if not isinstance(frame.index, pd.RangeIndex):
-        raise ResultsError(f"{path}: a line has more fields than the first")
-    if frame[list(columns)].isna().to_numpy().any():
-        raise ResultsError(f"{path}: a value is missing")
-    return frame
-
-
 def read_job(job: Path) -> Outcomes:
     """The outcomes of a finished job.
 
@@ -257,7 +133,7 @@ def read_job(job: Path) -> Outcomes:
         ResultsError: if the folder holds no finished job, or its files contradict each other.
     """
     run = read_run(job)
-    columns: dict[str, Any] = dict(_trials(job, run))
+    columns: dict[str, Any] = dict(read_columns(job, run))
     config = run["config"]
     if len(columns["trial"]) != run["trials"]:
         raise ResultsError(
@@ -307,3 +183,77 @@ def find_folders(folder: Path) -> list[tuple[Path, bool]]:
             if is_folder and name[0] != "." and name != SCALARS
         ]
     return sorted(found)
+
+
+def read_jobs(folders: Iterable[Path | str] | Path | str) -> list[Outcomes]:
+    """The outcomes of all finished jobs at or below one or more folders, each job once.
+
+    Raises:
+        ResultsError: if a folder does not exist, or a job cannot be read.
+    """
+    return [read_job(job) for job in _finished(folders)]
+
+
+def read_frame(folders: Iterable[Path | str] | Path | str) -> pd.DataFrame:
+    """The trials of all finished jobs at or below one or more folders, one row for each trial.
+
+    The columns are ``experiment``, ``job``, ``folder``, ``strategy``, one for each value of the
+    configuration, and those of ``trials.csv``. A configuration has the columns ``optimizer.lr``,
+    ``env.id`` and so on, with the trial's own value if it has one per trial; ``correction``,
+    ``baseline``, ``policy`` and the other groups hold the name of the class. A value that a job
+    does not have is missing (NaN or None).
+
+    Raises:
+        ResultsError: if a folder does not exist, or a job cannot be read.
+    """
+    import pandas as pd
+
+    parts: list[dict[str, Any]] = []
+    for folder in _finished(folders):
+        job = read_job(folder)
+        labels = (job.experiment, job.name, str(folder), job.strategy)
+        values: dict[str, Any] = dict(zip(LABELS, labels, strict=True))
+        strategy = {f"strategy.{key}": value for key, value in job.parameters.items()}
+        values |= dict(_flat({**strategy, **job.config}))
+        taken = {name: getattr(job, name) for name in PER_TRIAL}
+        found = {name: column for name, column in taken.items() if column is not None}
+        parts.append({k: _of_trials(v, len(job)) for k, v in values.items()} | found)
+    if not parts:
+        return pd.DataFrame(columns=[*LABELS, *TRIAL_COLUMNS])
+    frame = pd.concat([pd.DataFrame(part) for part in parts], ignore_index=True)
+    last = [name for name in PER_TRIAL if name in frame]
+    return frame.reindex(columns=[*(name for name in frame if name not in last), *last])
+
+
+def _finished(folders: Iterable[Path | str] | Path | str) -> list[Path]:
+    """The folders of the finished jobs, each once, however often and through whatever link."""
+    given = [folders] if isinstance(folders, str | os.PathLike) else list(folders)
+    found: dict[Path, Path] = {}
+    for folder in map(Path, given):
+        if not folder.is_dir():
+            raise ResultsError(f"{folder}: no such folder")
+        for job in find_jobs(folder):
+            found.setdefault(job.resolve(), job)
+    return list(found.values())
+
+
+def _flat(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Every value of a configuration with its key; of a constructor, the name of the class."""
+    for key, value in node.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        elif key == "_target_":
+            if prefix != "strategy.":
+                yield prefix.rstrip("."), str(value).rpartition(".")[2]
+        elif f"{prefix}{key}" not in PER_TRIAL and not key.startswith("_"):
+            yield f"{prefix}{key}", value
+
+
+def _of_trials(value: Any, trials: int) -> Any:
+    """The value of each trial: a list with one number for each, or the same value for all."""
+    if isinstance(value, list):
+        numbers = all(isinstance(x, int | float) for x in value)
+        if len(value) == trials and numbers and trials > 1:
+            return np.array(value)
+        value = json.dumps(value)
+    return [value] * trials

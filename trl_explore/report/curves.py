@@ -11,8 +11,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from trl_explore.jobs.columns import EPISODES, ResultsError
-from trl_explore.jobs.reading import read_curves, read_episodes
-from trl_explore.jobs.records import read_diagnostics, read_evaluations, read_visits
+from trl_explore.jobs.records import (
+    read_curves,
+    read_diagnostics,
+    read_episodes,
+    read_evaluations,
+    read_visits,
+)
 from trl_explore.report.groups import Group
 from trl_explore.report.loading import Gap, Job, gap
 from trl_explore.statistics.decomposition import curve_means, same_weights

@@ -17,7 +17,7 @@ from trl_explore.config.composing import RecordedJob
 from trl_explore.envs import LaneVectorEnv
 from trl_explore.envs.gym import make_gym
 from trl_explore.envs.seeding import Source
-from trl_explore.jobs.reading import read_weights
+from trl_explore.jobs.records import read_weights
 from trl_explore.training.evaluation import FINAL, SCHEDULED, episode_number
 from trl_explore.training.trainer import Trainer
 
