@@ -12,7 +12,7 @@ from trl_explore.commands import logs
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.console import printable, tell
 from trl_explore.report.build import build_report
-from trl_explore.report.study import THESIS, StudyFile, read_study
+from trl_explore.report.study_file import THESIS, StudyFile, read_study
 
 STUDIES = (".yaml", ".yml")
 PROGRAM = "import sys; from trl_explore.commands.main import main; sys.exit(main(sys.argv[1:]))"

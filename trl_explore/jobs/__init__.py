@@ -42,7 +42,7 @@ from trl_explore.jobs.reading import (
 )
 from trl_explore.jobs.records import read_diagnostics, read_evaluations
 from trl_explore.jobs.writing import clear, versions, write_job, write_timings
-from trl_explore.training.columns import DIAGNOSTIC_COLUMNS
+from trl_explore.training.quantities import DIAGNOSTIC_COLUMNS
 
 __all__ = [
     "DIAGNOSTIC_COLUMNS",

@@ -24,14 +24,16 @@ from trl_explore.report.sentences import (
     score_sentence,
     verdicts,
 )
-from trl_explore.report.study import StudyFile
+from trl_explore.report.study_file import StudyFile
 from trl_explore.report.why import headline
 from trl_explore.statistics.comparisons import SCORE, Comparison, compare_pairs, too_few
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import SharedTrials, shared_trials
 from trl_explore.statistics.summary import Summary, summarise
-from trl_explore.thesis import CLAIMS, NOT_MEASURED, Checked, Study, check_claims, why
+from trl_explore.thesis import CLAIMS, NOT_MEASURED, Checked, Study, check_claims
+from trl_explore.thesis.reexamined import CLAIMS as CAUSES
+from trl_explore.thesis.reexamined import Reexamined, reexamine
 
 MOST_ANSWERS = 8
 """Most questions beside the main one that the answer speaks of."""
@@ -106,7 +108,7 @@ class Evidence:
     study: StudyFile
     groups: list[GroupEvidence]
     checked: list[Checked]
-    reexamined: list[why.Reexamined]
+    reexamined: list[Reexamined]
     causes: list[Checked]
     decompositions: list[Decomposition]
     answer: tuple[str, ...]
@@ -179,10 +181,10 @@ def _checked(data: Study, study: StudyFile) -> list[Checked]:
     return found if any(c.finding.verdict != NOT_MEASURED for c in found) else []
 
 
-def _why(study: Study) -> tuple[list[why.Reexamined], list[Checked]]:
+def _why(study: Study) -> tuple[list[Reexamined], list[Checked]]:
     if not any(experiment(o.experiment).why for o in study.outcomes):
         return [], []
-    return why.reexamine(study), check_claims(study, why.CLAIMS)
+    return reexamine(study), check_claims(study, CAUSES)
 
 
 def _answers(parts: Sequence[GroupEvidence]) -> tuple[str, ...]:

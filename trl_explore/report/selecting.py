@@ -14,11 +14,12 @@ from functools import partial
 from typing import Any
 
 from trl_explore.jobs.columns import ResultsError
+from trl_explore.names import strategy_label
 from trl_explore.report.factors import Factor, arguments, canonical, class_words
 from trl_explore.report.groups import Group
 from trl_explore.report.loading import Job
 from trl_explore.report.questions import Block, Question, ask, differing
-from trl_explore.report.study import MEASURES, RULES, Effect, Selector, StudyFile
+from trl_explore.report.study_file import MEASURES, RULES, Effect, Selector, StudyFile
 from trl_explore.report.tables import some
 from trl_explore.statistics.outcomes import Outcomes, judged
 from trl_explore.statistics.pairing import AGENT_GROUPS, configuration_key, deduplicate, pool
@@ -116,7 +117,9 @@ def _question(
     if any(len(found) != 1 for found in chosen) or chosen[0] == chosen[1]:
         return None
     pair = chosen[0][0], chosen[1][0]
-    return Question(tuple(differing(group.factors, pair)), (Block("", pair),))
+    factors = differing(group.factors, pair)
+    held = [f.words[pair[0]] for f in group.factors if f not in factors]
+    return Question(tuple(factors), (Block(", ".join(w for w in held if w), pair),))
 
 
 def _means(c: Outcomes, group: Group, selector: Selector) -> bool:
@@ -181,8 +184,12 @@ def selector_words(selector: Selector) -> str:
     """A selector for readers."""
     if isinstance(selector, str):
         return selector
-    return ", ".join(f"{value}" if key in ("strategy", "policy", "correction", "baseline")
-                     else f"{key} = {value}" for key, value in selector.items())  # fmt: skip
+    said = {"strategy": strategy_label, "policy": str, "baseline": str,
+            "correction": lambda v: "uncorrected" if v == "none" else str(v)}  # fmt: skip
+    return ", ".join(
+        said[key](str(value)) if key in said else f"{key} = {value}"
+        for key, value in selector.items()
+    )
 
 
 def _paths(job: Job) -> tuple[str, ...]:

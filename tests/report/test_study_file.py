@@ -11,7 +11,7 @@ from trl_explore.report.build import build_report
 from trl_explore.report.evidence import Evidence, gather
 from trl_explore.report.loading import load
 from trl_explore.report.methods import paragraph
-from trl_explore.report.study import read_study
+from trl_explore.report.study_file import read_study
 from trl_explore.thesis import FAILS, HOLDS, NOT_MEASURED, Claim
 
 FAST = [150 + k for k in range(20)]
@@ -143,6 +143,9 @@ def test_a_pair_that_two_questions_ask_for_is_tested_once(study):
     study.write_text(STUDY.replace(pair, f"{pair}\n  - {same}"), encoding="utf-8")
     (group,) = ask(study).groups
     assert [len(a.comparisons) for a in group.answered] == [2, 1, 1]
+    assert {b.where for a in group.answered for b in a.question.blocks} == {
+        "uncorrected", "per-step ratio", "softmax"
+    }  # fmt: skip
     assert len(group.comparisons) == 3
 
 
