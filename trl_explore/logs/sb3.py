@@ -87,7 +87,7 @@ def _monitor(file: Path) -> tuple[dict[str, Any], Any, bool]:
     columns = (numbers(frame[name]) for name in frame.columns)
     frame = pd.DataFrame(dict(zip(COLUMNS, columns, strict=False)))
     frame = frame[np.isfinite(frame["l"]) & np.isfinite(frame["t"])]
-    seconds, restarts = _onward(frame["t"].to_numpy(dtype=np.float64))
+    seconds, restarts = _onward(np.asarray(frame["t"], dtype=np.float64))
     return header, frame.assign(t=seconds), restarts
 
 

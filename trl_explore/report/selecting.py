@@ -151,6 +151,9 @@ def _reason(groups: Sequence[Group], item: Effect | tuple[Selector, Selector]) -
             texts.append(f"{selector_words(selector)!r} fits {len(found)} configurations"
                          f"{f' ({some(found)})' if found else ''}")  # fmt: skip
     known = [g.labels[c.name] for g in groups for c in g.configurations]
+    if not texts and len({c.name for g in groups for c in g.configurations
+                          if any(_means(c, g, s) for s in item)}) == 1:  # fmt: skip
+        return "both are the same configuration"
     if not texts:
         return "the two have different environments or stopping rules"
     return f"{'; '.join(texts)}; each must fit one of: {some(known)}"
