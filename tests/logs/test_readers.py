@@ -236,6 +236,18 @@ def test_no_runs(kind, tmp_path):
         read_runs(kind, [tmp_path / "none"])
 
 
+def test_a_run_that_ended_before_it_logged_a_score_is_left_out(tmp_path):
+    for seed, names in enumerate((["train/reward", "loss"], ["train/reward", "loss"], ["loss"])):
+        for name in names:
+            file = tmp_path / f"ppo_seed{seed}" / "scalars" / f"{name}.csv"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text("1,2\n2,3\n")
+    runs, others = read_runs("torchrl", [tmp_path])
+    assert [run.used for run in runs] == [True, True, False]
+    assert runs[2].notes == ("did not log train/reward, left out",)
+    assert others == ["loss"]
+
+
 def test_the_same_quantity_of_all_runs(tmp_path):
     for name, quantity in (("a", "x"), ("b", "y")):
         (tmp_path / name / "scalars").mkdir(parents=True)
