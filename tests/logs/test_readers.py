@@ -72,6 +72,16 @@ def test_several_sb3_runs_in_one_folder_and_a_continued_one(tmp_path):
         assert run.notes == ("continued in one file",)
 
 
+@pytest.mark.parametrize("text", ["", "\0\1", '#{"t_start": 1.0}\n', '#{"t_start": 1.0}\nr,l,t\n'])
+def test_an_sb3_run_without_episodes_is_left_out_and_named(tmp_path, text):
+    for name, content in (("1", text), ("2", '#{"t_start": 1.0}\nr,l,t\n9.0,9,0.1\n')):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "monitor.csv").write_text(content)
+    (first, second), _ = read_runs("sb3", [tmp_path])
+    assert (first.used, second.used) == (False, True)
+    assert "no episodes in monitor.csv" in first.notes
+
+
 def test_torchrl_csv_logger(tmp_path):
     from torchrl.record.loggers import generate_exp_name
     from torchrl.record.loggers.csv import CSVLogger
@@ -224,6 +234,18 @@ def test_no_runs(kind, tmp_path):
         read_runs(kind, [tmp_path])
     with pytest.raises(ResultsError, match="no such file"):
         read_runs(kind, [tmp_path / "none"])
+
+
+def test_a_run_that_ended_before_it_logged_a_score_is_left_out(tmp_path):
+    for seed, names in enumerate((["train/reward", "loss"], ["train/reward", "loss"], ["loss"])):
+        for name in names:
+            file = tmp_path / f"ppo_seed{seed}" / "scalars" / f"{name}.csv"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text("1,2\n2,3\n")
+    runs, others = read_runs("torchrl", [tmp_path])
+    assert [run.used for run in runs] == [True, True, False]
+    assert runs[2].notes == ("did not log train/reward, left out",)
+    assert others == ["loss"]
 
 
 def test_the_same_quantity_of_all_runs(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,7 @@ def test_the_page(runs, tmp_path, capsys):
     assert "http" not in page.replace("http://www.w3.org", "").replace("http-equiv", "")
     text = " ".join(page.split())
     assert "two has a higher final score than one" in text
+    assert re.search(r"a difference of \d[\d.]* \[\d", text)  # two minus one, as it is said
     assert "7 pairs by seed" in text
     assert "Kaplan–Meier" in text
     assert "Performance profiles" in text

@@ -103,6 +103,8 @@ def test_a_study_asks_its_own_questions_and_checks_its_own_claims(study, tmp_pat
         ("passes: {of: argmax", "pass: {of: argmax", ["claims[3]", "passes, never_passes"]),
         ("*pilot*", "*nobody*", ["leave_out", "fits no job"]),
         ("{strategy: softmax, correction: per_step}]", "vdbe]", ["compare[1]", "'vdbe' fits 0"]),
+        ("correction: per_step}]", "correction: none}]", ["compare[1]: both are the same"]),
+        ("low: 100, high: 400", "low: 400, high: 100", ["high=100", "more than low=400"]),
         ("score.softmax_passes_consistently", "nothing", ["claims[4]", "score.random_never"]),
         ("claims:", "claims: {", ["not readable as YAML"]),
         ("level:", "until: soon\nlevel:", ["until='soon'", "settled is possible"]),
@@ -143,7 +145,30 @@ def test_a_pair_that_two_questions_ask_for_is_tested_once(study):
     study.write_text(STUDY.replace(pair, f"{pair}\n  - {same}"), encoding="utf-8")
     (group,) = ask(study).groups
     assert [len(a.comparisons) for a in group.answered] == [2, 1, 1]
+    assert {b.where for a in group.answered for b in a.question.blocks} == {
+        "uncorrected", "per-step ratio", "softmax"
+    }  # fmt: skip
     assert len(group.comparisons) == 3
+
+
+@pytest.mark.parametrize("fails", [True, False])
+def test_a_study_of_scores_speaks_of_scores_only(tmp_path, make_job, fails):
+    """Final scores of 196.00 to 196.19, against 20 to 39 or against the same."""
+    taken = [1000] * 20 if fails else FAST
+    make_job(tmp_path / "train", "softmax", FAST)
+    make_job(tmp_path / "train", "argmax", taken, strategy="argmax")
+    path = tmp_path / "mine.yaml"
+    path.write_text("configurations: [train/*]\nmeasures: [score]", encoding="utf-8")
+    found = ask(path)
+    (said,) = found.answer
+    if fails:
+        assert said.startswith("The final scores differ significantly, after Holm’s correction: so")
+        assert "196 against argmax 29.5 (difference 167 [" in said
+    else:
+        assert said == "No final scores differ significantly in 1 pair."
+    path.write_text("configurations: [train/*]\nmeasures: [passed]", encoding="utf-8")
+    assert ask(path).groups[0].scores == []
+    assert not any("scores" in sentence for sentence in ask(path).answer)
 
 
 def test_an_effect_can_be_asked_for_at_each_environment(tmp_path, make_job):

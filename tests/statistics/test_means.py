@@ -209,3 +209,9 @@ def test_level_where_means_are_equal_and_shapes_differ(n):
         y = times(160.0 + rng.uniform(-20, 20, n))
         wrong += [mean_difference(x, y).sign() != 0, mean_difference(x, unpaired(y)).sign() != 0]
     assert (wrong / repetitions <= 0.07).all(), wrong / repetitions
+
+
+def test_the_interval_of_a_mean_time_has_no_negative_times():
+    """Student's interval of 10 and 100 is 55 ± 12.7 · 45."""
+    assert mean_interval(Sample.of([10.0, 100.0], unit="frames")).low == 0.0
+    assert mean_interval(Sample.of([10.0, 100.0])).low == pytest.approx(55 - 12.706 * 45, abs=0.1)

@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.logs import csv_files as files
 from trl_explore.logs import sb3, tensorboard
@@ -101,9 +103,11 @@ def read_runs(
     runs = []
     for log, identity, label in zip(logs, found, labels(found), strict=True):
         episodes = name in log.episodes
-        curve = clean(*log.load(name), episodes=episodes)
+        points = log.load(name) if name in log.names else (np.empty(0), np.empty(0))
+        curve = clean(*points, episodes=episodes)
         notes, used = (*log.notes, *curve.notes), len(curve) > 0
-        notes = notes if used else (*notes, "no values, left out")
+        why = "no values" if name in log.names else f"did not log {name}"
+        notes = notes if used else (*notes, f"{why}, left out")
         runs.append(
             Run(log.place, label, identity.environment, identity.seed, curve, name, log.step,
                 episodes, notes, used)
@@ -114,12 +118,19 @@ def read_runs(
 def _quantity(
     logs: Sequence[Log], wanted: str | None, usual: Iterable[str]
 ) -> tuple[str, list[str]]:
-    """The quantity that is the score, and the others that all runs have."""
+    """The quantity that is the score, and the others that all runs with it have.
+
+    Less than half of the runs may lack it: those that ended before they logged any.
+    """
     common = [name for name in logs[0].names if all(name in log.names for log in logs)]
-    choice = [wanted] if wanted else [*usual, *(common if len(common) == 1 else [])]
-    name = next((name for name in choice if name in common), None)
-    if name is not None:
-        return name, [other for other in common if other != name]
+    choice = [wanted] if wanted else list(usual)
+    only = [] if wanted or len(common) > 1 else common
+    for names, fewest in ((choice, len(logs)), (choice, len(logs) // 2 + 1), (only, len(logs))):
+        for name in names:
+            having = [log for log in logs if name in log.names]
+            if len(having) >= fewest:
+                shared = (n for n in having[0].names if all(n in log.names for log in having))
+                return name, [other for other in shared if other != name]
     if wanted and any(wanted in log.names for log in logs):
         lacking = next(log.place for log in logs if wanted not in log.names)
         raise ResultsError(f"{lacking} did not log {wanted!r}, but other runs did")

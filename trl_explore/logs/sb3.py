@@ -54,6 +54,8 @@ def _run(path: Path, folder: Path, files: list[Path]) -> Log:
         parts.append(frame.assign(t=frame["t"] + starts[-1]))
         if restarts:
             notes.append("continued in one file")
+        if frame.empty:
+            notes.append(f"no episodes in {file.name}")
     frame = pd.concat(parts).sort_values("t", kind="stable")
     if len(files) > 1:
         notes.append(f"{len(files)} environments")
@@ -80,10 +82,12 @@ def _monitor(file: Path) -> tuple[dict[str, Any], Any, bool]:
         header = json.loads(first[1:]) if first.startswith("#") else {}
     titled = "r,l,t" in (first[:5], second[:5])
     frame = read_csv(file, skip=int(first.startswith("#")), header=titled)
-    frame = frame.set_axis([*COLUMNS, *map(str, frame.columns[3:])], axis=1)[COLUMNS]
-    frame = frame.apply(numbers)
+    if len(frame.columns) < len(COLUMNS):
+        frame = pd.DataFrame(columns=COLUMNS)
+    columns = (numbers(frame[name]) for name in frame.columns)
+    frame = pd.DataFrame(dict(zip(COLUMNS, columns, strict=False)))
     frame = frame[np.isfinite(frame["l"]) & np.isfinite(frame["t"])]
-    seconds, restarts = _onward(frame["t"].to_numpy(dtype=np.float64))
+    seconds, restarts = _onward(np.asarray(frame["t"], dtype=np.float64))
     return header, frame.assign(t=seconds), restarts
 
 

@@ -221,6 +221,8 @@ def _group_evidence(group: Group, gaps: list[Gap], study: StudyFile) -> GroupEvi
 def _measured(group: Group, traces: Traces, study: StudyFile) -> GroupEvidence:
     """The results of a group by the measure of its configurations."""
     configurations, level = group.configurations, study.level
+    learned = group.did == "learned"
+    timed = learned or "passed" in study.measures
     pairs = _pairs(group)
     comparisons: list[Comparison] = []
     scores: list[Comparison] = []
@@ -228,7 +230,8 @@ def _measured(group: Group, traces: Traces, study: StudyFile) -> GroupEvidence:
     incomparable = "" if len(configurations) > 1 else "there is only one configuration"
     try:
         comparisons = compare_pairs(pairs, level=level)
-        scores = compare_pairs(pairs, SCORE, level=level)
+        if learned or "score" in study.measures:
+            scores = compare_pairs(pairs, SCORE, level=level)
         answered = _answered(group, comparisons, level)
     except ValueError as error:
         incomparable = str(error)
@@ -240,14 +243,14 @@ def _measured(group: Group, traces: Traces, study: StudyFile) -> GroupEvidence:
         comparisons=comparisons,
         incomparable=incomparable,
         sentences=(
-            *(_sentences(group, comparisons, level) if not answered else ()),
-            *(s for a in answered for s in a.sentences),
+            *(_sentences(group, comparisons, level) if timed and not answered else ()),
+            *(s for a in answered if timed for s in a.sentences),
             *(confounded_sentence(c, group) for c in group.confounds),
-            *_scores_said(group, comparisons, scores),
+            *_scores_said(group, comparisons if timed else None, scores),
             *(_cut_short(group) or _too_few(comparisons, level)),
         ),
         traces=traces,
-        scores=scores if "score" in study.measures else [],
+        scores=scores,
         answered=answered,
         level=level,
     )
@@ -273,7 +276,7 @@ def _answered(group: Group, comparisons: list[Comparison], level: float) -> list
 
 
 def _scores_said(
-    group: Group, comparisons: Sequence[Comparison], scores: Sequence[Comparison]
+    group: Group, comparisons: Sequence[Comparison] | None, scores: Sequence[Comparison]
 ) -> tuple[str, ...]:
     if group.plane is not None or group.sized:
         return ()

@@ -24,6 +24,7 @@ from trl_explore.report.tables import (
     estimate_cell,
     figure,
     interval,
+    negated,
     p_value,
     rate_cell,
 )
@@ -195,10 +196,11 @@ def pair_sentence(c: Comparison, measure: Measure, labels: Mapping[str, str] | N
     (best, high), (rest, low) = sorted(
         ((c.a, c.mean_a), (c.b, c.mean_b)), key=lambda pair: pair[0] != c.winner
     )
+    difference = c.difference if best == c.a else negated(c.difference)
     better = "takes fewer" if measure.less_is_better else "has a higher"
     return (
         f"{name[best]} {better} {measure.name} than {name[rest]}: {figure(high)} against"
-        f" {figure(low)} on average, a difference of {interval(c.difference)}"
+        f" {figure(low)} on average, a difference of {interval(difference)}"
         f" (p {p_value(c.p_holm)}, {design})."
     )
 

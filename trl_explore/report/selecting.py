@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any
 
 from trl_explore.jobs.columns import ResultsError
+from trl_explore.names import strategy_label
 from trl_explore.report.factors import Factor, arguments, canonical, class_words
 from trl_explore.report.groups import Group
 from trl_explore.report.loading import Job
@@ -116,7 +117,9 @@ def _question(
     if any(len(found) != 1 for found in chosen) or chosen[0] == chosen[1]:
         return None
     pair = chosen[0][0], chosen[1][0]
-    return Question(tuple(differing(group.factors, pair)), (Block("", pair),))
+    factors = differing(group.factors, pair)
+    held = [f.words[pair[0]] for f in group.factors if f not in factors]
+    return Question(tuple(factors), (Block(", ".join(w for w in held if w), pair),))
 
 
 def _means(c: Outcomes, group: Group, selector: Selector) -> bool:
@@ -148,6 +151,9 @@ def _reason(groups: Sequence[Group], item: Effect | tuple[Selector, Selector]) -
             texts.append(f"{selector_words(selector)!r} fits {len(found)} configurations"
                          f"{f' ({some(found)})' if found else ''}")  # fmt: skip
     known = [g.labels[c.name] for g in groups for c in g.configurations]
+    if not texts and len({c.name for g in groups for c in g.configurations
+                          if any(_means(c, g, s) for s in item)}) == 1:  # fmt: skip
+        return "both are the same configuration"
     if not texts:
         return "the two have different environments or stopping rules"
     return f"{'; '.join(texts)}; each must fit one of: {some(known)}"
@@ -181,8 +187,12 @@ def selector_words(selector: Selector) -> str:
     """A selector for readers."""
     if isinstance(selector, str):
         return selector
-    return ", ".join(f"{value}" if key in ("strategy", "policy", "correction", "baseline")
-                     else f"{key} = {value}" for key, value in selector.items())  # fmt: skip
+    said = {"strategy": strategy_label, "policy": str, "baseline": str,
+            "correction": lambda v: "uncorrected" if v == "none" else str(v)}  # fmt: skip
+    return ", ".join(
+        said[key](str(value)) if key in said else f"{key} = {value}"
+        for key, value in selector.items()
+    )
 
 
 def _paths(job: Job) -> tuple[str, ...]:

@@ -185,18 +185,22 @@ def option_sentences(
 
 
 def score_sentence(
-    comparisons: Sequence[Comparison],
+    comparisons: Sequence[Comparison] | None,
     scores: Sequence[Comparison],
     labels: Mapping[str, str],
     what: str = "final",
 ) -> str:
     """The pairs that differ in their scores although their iterations do not tell them apart.
 
-    ``scores`` are the same pairs as ``comparisons``. Empty if there is no such pair.
+    ``scores`` are the same pairs as ``comparisons``; without these, all that differ. Empty if there
+    is no such pair.
     """
-    undecided = {(c.a, c.b) for c in comparisons if c.winner is None}
-    found = [c for c in scores if c.winner is not None and (c.a, c.b) in undecided]
+    decided = {(c.a, c.b) for c in comparisons or () if c.winner is not None}
+    found = [c for c in scores if c.winner is not None and (c.a, c.b) not in decided]
     if not found:
+        if comparisons is None and scores:
+            pairs = _count(len(scores), "pair", "pairs")
+            return f"No {what} scores differ significantly in {pairs}."
         return ""
     found.sort(key=lambda c: -abs(c.difference.value))
     said = []
@@ -210,8 +214,9 @@ def score_sentence(
         )
     more = f"; and {len(found) - MOST} more pairs" if len(found) > MOST else ""
     return (
-        f"The {what} scores differ significantly, after Holm’s correction, where the iterations do"
-        f" not: {'; '.join(said)}{more}."
+        f"The {what} scores differ significantly, after Holm’s correction"
+        f"{'' if comparisons is None else ', where the iterations do not'}:"
+        f" {'; '.join(said)}{more}."
     )
 
 

@@ -247,6 +247,8 @@ def _check_rule(path: Path, where: str, name: str, value: Any) -> None:
         if key not in value or key not in (*needed, *optional):
             _refuse(path, f"{where}.{key}", value.get(key), f"keys: {', '.join(needed + optional)}")
         allowed = _wrong(key, value[key])
+        if key == "high" and not allowed and not value["low"] < value["high"]:
+            allowed = f"more than low={value['low']} is possible"
         if allowed:
             _refuse(path, f"{where}.{key}", value[key], allowed)
 

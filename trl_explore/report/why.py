@@ -83,13 +83,16 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
             f"the {figure(abs(p.gap.value))} {words.unit} that {strategy} {words.verb} {more} than"
             f" softmax ({figure(p.plain)} against {figure(p.reference)})"
         )
+        ways = [(p.corrected, f"removed from {strategy}"), (p.assumed, "added to softmax")]
+        ways = [(share, how) for share, how in ways if share is not None]
         if p.separable:
-            said.append(f"{percent(p.bias)} of {whole}")
+            only = f", {ways[0][1]}," if len(ways) == 1 else ""
+            said.append(f"{percent(p.bias)}{only} of {whole}")
         elif odd := _odd(strategy, p, words):
             said.append(f"no share of {whole}: {odd}")
         else:
-            ways = [(p.corrected, f"removed from {strategy}"), (p.assumed, "added to softmax")]
-            low, high = (f"{percent(share)}, {how}," for share, how in sorted(ways, key=_value))
+            ways.sort(key=lambda way: way[0].value)
+            low, high = (f"{percent(share)}, {how}," for share, how in ways)
             said.append(f"{low} to {high} of {whole}")
     none = ""
     if unclear:
@@ -165,10 +168,6 @@ def chosen_quantity(
     there = [q for q in names if known[q]]
     best = next(iter([*told, *there]), names[0])
     return best, known[best]
-
-
-def _value(way: tuple[Estimate | None, str]) -> float:
-    return way[0].value if way[0] is not None else np.nan
 
 
 def decomposition_tables(found: Sequence[Decomposition]) -> list[Table]:

@@ -98,6 +98,8 @@ def mean_interval(sample: Sample, *, level: float = LEVEL) -> Estimate:
         return Estimate(value, nan, nan, level)
     d = distances(sample.simplified())(1.0 - level)
     low, high = value - hypot(d.spread, d.down), value + hypot(d.spread, d.up)
+    if sample.unit or sample.cap is not None:  # a time
+        low = max(low, 0.0)
     if sample.cap is not None:
         high = min(high, sample.cap)
     return Estimate(value, low, high, level)
