@@ -26,7 +26,7 @@ from trl_explore.report.why import decomposition_tables
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
 MAP = "map.html"
-"""The page of ``trl-explore map``; the report links to it if it lies beside it."""
+"""The page of ``trl-explore map``; the report links to it if it is in the same folder."""
 METHODS, REFERENCES = "methods.md", "references.bib"
 
 
