@@ -21,11 +21,11 @@ from trl_explore.report.tables import (
 from trl_explore.statistics.estimates import Estimate, flat
 
 MOST = 4
-"""Most strategies that a sentence speaks of: those that differ most from softmax."""
+"""The most strategies in a sentence: those that differ most from softmax."""
 
 
 class Words(NamedTuple):
-    """How a quantity is spoken of: "ε-greedy *needs* 30 *iterations* *fewer* than softmax"."""
+    """How sentences name a quantity: "ε-greedy *needs* 30 *iterations* *fewer* than softmax"."""
 
     name: str
     verb: str
@@ -96,7 +96,7 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
         size = f" ({interval(unclear[0][1].gap)} {words.unit})" if len(unclear) == 1 else ""
         none = (
             f"no share can be estimated for {some([name for name, _ in unclear])}, whose difference"
-            f" to softmax{size} is too uncertain or too small"
+            f" from softmax{size} is too uncertain or too small"
         )
     start = "Bias: a gradient that treats the actions as if they came from the policy is biased"
     if not said:
@@ -108,7 +108,7 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
 
 
 def _odd(strategy: str, p: Parts, words: Words) -> str:
-    """What the bias does, where it is no part of the difference; empty where it is one."""
+    """What the bias does, where it is not part of the difference; empty where it is."""
     ways = [(p.corrected, strategy, "without the bias", -1), (p.assumed, "softmax", "with it", 1)]
     known = [(s.value, name, how, sign) for s, name, how, sign in ways if s is not None]
     if all(-NEAR <= share <= 1 + 3 * NEAR for share, *_ in known):
@@ -195,7 +195,7 @@ def _main(found: Sequence[Decomposition]) -> Table:
         Column("strategy", "strategy", lambda r: r["strategy"]),
         Column("handicap", "acting: score in training, and without exploration",
                of(_acting), True),
-        Column("gap", f"{' or '.join(sorted(times))}: difference to softmax", part(_gap), True),
+        Column("gap", f"{' or '.join(sorted(times))}: difference from softmax", part(_gap), True),
         Column("bias", "bias: its share", part(_bias), True),
         Column("data", "data: the same, corrected", part(_data), True),
         Column("passes", "trials that pass", of(_passes), True),

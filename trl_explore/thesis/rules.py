@@ -213,7 +213,7 @@ def in_time(decide: UnitDecision) -> Decision:
 
     κ is what an iteration costs in addition to its frames: between 1 and 10 in the thesis's
     program, more where a frame is fast. The verdict is that for the thesis's κ; the evidence states
-    for which κ of ``COSTS`` each verdict holds, and what the seconds of trials that were timed alone say.
+    for which κ of ``COSTS`` each verdict holds, and what the seconds of trials timed alone say.
     """
 
     def over_costs(study: Study) -> Finding:
