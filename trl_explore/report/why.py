@@ -156,9 +156,9 @@ def _largest(parts: Sequence[tuple[str, Parts]]) -> tuple[list[tuple[str, Parts]
 def chosen_quantity(
     found: Sequence[Decomposition], names: Sequence[str] = tuple(WORDS)
 ) -> tuple[str, list[tuple[str, Parts]]]:
-    """The quantity to speak of, and the parts of every strategy in it.
+    """The quantity to report, and the parts of every strategy in it.
 
-    Where hardly any trial learns within the cap, times tell nothing, and the score is taken.
+    Where hardly any trial learns within the cap, times are not informative, and the score is used.
     """
     known = {q: [(d.strategy, d.parts[q]) for d in found if q in d.parts] for q in names}
     told = [q for q in names if any(not np.isnan(p.bias.value) for _, p in known[q])]
