@@ -108,7 +108,7 @@ def _gradient_at(theta: Array, answer: Callable[[Array], Any]) -> str | None:
     return _diagnose(found, right, {
         "Every path counts the same: multiply each with its chance P(τ).":
             update(theta, np.ones((2, 2))),
-        "It is always 0: without the return R(τ), what makes one action likelier cancels out.":
+        "It is always 0: without the return R(τ), what makes one action more probable cancels out.":
             update(theta, probs, score=lambda value: 1.0),
         "The sign is the wrong way round: this goes downhill.": -right,
         "∇log π(a|s) of a softmax is (1 for a, else 0) minus π(·|s); the π is missing.":

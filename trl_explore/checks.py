@@ -121,7 +121,7 @@ def settle(cls: type, attribute: str, value: bool, methods: Collection[str]) -> 
 
 
 def holds(instance: object, attribute: str, methods: Collection[str]) -> bool:
-    """Whether an object's methods are those that the declaration of its class speaks of.
+    """Whether an object's methods are those that the declaration of its class covers.
 
     ``settle`` sees what a class overrides when it is made, and not what is put into the object, or
     into its class later.
@@ -129,7 +129,7 @@ def holds(instance: object, attribute: str, methods: Collection[str]) -> bool:
     Args:
         instance: the object.
         attribute: the name of the declaration.
-        methods: the methods that the declaration speaks of.
+        methods: the methods that the declaration covers.
 
     Example:
         >>> class Base:

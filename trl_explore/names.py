@@ -39,7 +39,7 @@ STRATEGIES: Mapping[str, StrategyName] = {
     "epsilon_greedy": StrategyName("ε-greedy", ("#0072b2", "o", "dashes"),
         "with probability ε a random action, else the preferred one"),
     "decaying_epsilon_greedy": StrategyName("decaying ε-greedy", ("#009e73", "D", "long dashes"),
-        "the same, with an ε that shrinks in every iteration"),
+        "ε-greedy with an ε that shrinks in every iteration"),
     "softmax": StrategyName("softmax", ("#a8328c", "v", "solid"),
         "actions are drawn with the probabilities that the policy gives them"),
     "boltzmann": StrategyName("Boltzmann", ("#7a1f3d", "v", "dashes"),

@@ -1,4 +1,4 @@
-"""File systems whose locks fail, wait for ever, or exclude nobody."""
+"""File systems whose locks fail, never return, or exclude no process."""
 
 import errno
 import fcntl
@@ -32,7 +32,7 @@ KINDS = {
     "ENOSYS": (failing(errno.ENOSYS), "Function not implemented"),
     "ENOLCK": (failing(errno.ENOLCK), "No locks available"),
     "waits": (waiting, "no answer within 0 s"),
-    "does nothing": (lambda file, kind: None, "they exclude nobody"),
+    "does nothing": (lambda file, kind: None, "they exclude no process"),
 }
 
 

@@ -127,7 +127,7 @@ def test_maps_of_one_environment_are_questions_of_their_own(tmp_path, job):
     assert [p.group.environment for p in found.groups] == [
         "FrozenLake-v1 (is slippery = True)", "FrozenLake-v1 (is slippery = False)", "Acrobot-v1",
     ] or found.groups[0].size >= found.groups[1].size  # fmt: skip
-    assert found.answer[-1].startswith("Compared with nothing")
+    assert found.answer[-1].startswith("Not compared")
     assert "Only" not in " ".join(found.answer)
 
 

@@ -190,14 +190,14 @@ for name in ("trl_explore", "trl_explore.strategies"):  # without what their __i
     sys.modules[name] = types.ModuleType(name)
 sys.modules["trl_explore"].__path__ = [sys.argv[1]]
 sys.modules["trl_explore.strategies"].__path__ = [sys.argv[1] + "/strategies"]
-importlib.import_module("trl_explore.strategies.family")
+importlib.import_module("trl_explore.strategies.classic")
 print(*sorted(name for name in sys.modules if name.startswith("trl_explore.")))
 """
     path = inspect.getfile(EpsilonGreedy).rsplit("/", 2)[0]
     done = subprocess.run(
         [sys.executable, "-c", program, path], capture_output=True, text=True, check=True
     )
-    own = "discrete family frames mixture parameters schedules strategy workers"
+    own = "classic discrete frames mixture parameters schedules strategy workers"
     assert done.stdout.split() == [
         "trl_explore.checks", "trl_explore.strategies",
         *(f"trl_explore.strategies.{name}" for name in own.split()),

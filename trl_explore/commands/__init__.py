@@ -1,1 +1,1 @@
-"""The command line: ``trl-explore train|report|status|time``."""
+"""The command line: one module for each command of ``trl-explore``."""

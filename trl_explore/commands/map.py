@@ -1,6 +1,6 @@
 """Train the agents of the map and write its page: ``trl-explore map [--full] [--out FILE]``.
 
-Every cell is a job of its own in the folder of the map: the same command goes on where it stopped.
+Every cell is a separate job in the folder of the map, so the same command continues a map.
 """
 
 from __future__ import annotations

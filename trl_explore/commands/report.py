@@ -75,7 +75,7 @@ def _study(places: Sequence[Path]) -> tuple[StudyFile | None, list[Path]]:
     study = read_study(files[0] if own else THESIS)
     folders = folders or list(study.folders)
     if not folders and not study.sweeps:
-        allowed = "a list of folders, globs or sweeps is needed, or folders beside the study"
+        allowed = "a list of folders, globs or sweeps is needed, or folders given with the study"
         raise ResultsError(f"{files[0]}: configurations=[]: {allowed}")
     return study, folders
 

@@ -38,11 +38,12 @@ MEASURES: Mapping[str, Callable[[Outcomes], Sample]] = {
 def main() -> int:
     """Run the command; an error prints one line on stderr and returns status 1."""
     parser = argparse.ArgumentParser(
+        usage="trl-explore settle [options] key=value ...",
         description="Run a sweep with more and more trials until each pair of configurations is"
         " decided, or the trials are used up. The probability that any difference is found where"
         " there is none is at most 1 - level. The same command continues an interrupted run.",
         allow_abbrev=False,
-        epilog="key=value are those of trl-explore train, without trials and first_trial.",
+        epilog="key=value is as in trl-explore train, without trials and first_trial.",
     )
     parser.add_argument("--first", type=int, help="trials of the first look (20)")
     parser.add_argument(

@@ -32,16 +32,22 @@ GRIDS: Mapping[str, Mapping[str, str]] = {
 def main() -> int:
     """Run the command; an error prints one line on stderr and returns status 1."""
     parser = argparse.ArgumentParser(
+        usage="trl-explore tune [options] key=value ...",
         description="Tune the learning rate and the parameters of each strategy on one seed, and"
         " compare the best settings on another. The same command continues an interrupted run.",
         allow_abbrev=False,
-        epilog="key=value are those of trl-explore train. strategy.NAME=A,B,... gives the values of"
+        epilog="key=value is as in trl-explore train. strategy.NAME=A,B,... gives the values of"
         " a parameter to every strategy that has it.",
     )
     parser.add_argument("--trials", type=int, default=20, help="trials of each setting (20)")
     parser.add_argument("--judge", type=int, default=100, help="trials of the best setting (100)")
-    parser.add_argument("--seeds", type=int, nargs=2, default=[0, 1], metavar=("TUNING", "JUDGING"))
-    parser.add_argument("--lr", default="0.003,0.01,0.03,0.1,0.3", help="learning rates, A,B,...")
+    parser.add_argument(
+        "--seeds", type=int, nargs=2, default=[0, 1], metavar=("TUNING", "JUDGING"),
+        help="the seeds of both steps (0 1)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--lr", default="0.003,0.01,0.03,0.1,0.3", help="learning rates, A,B,... (%(default)s)"
+    )
     parser.add_argument(
         "--direction", choices=("minimize", "maximize"), default="minimize",
         help="minimize the mean time (default), or maximize the mean learned score",

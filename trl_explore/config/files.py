@@ -141,15 +141,15 @@ def commented(text: str, choices: Mapping[str, str | None]) -> str:
     found = {p + key: note for p, name in names.items() for key, note in _notes(name).items()}
     out: list[str] = []
     for key, line in _keys(text):
-        above, beside = found.get(key, ([], ""))
+        above, after = found.get(key, ([], ""))
         indent = line[: len(line) - len(line.lstrip())]
         out += [indent + comment for comment in above]
-        out.append(f"{line}   {beside}" if beside else line)
+        out.append(f"{line}   {after}" if after else line)
     return "\n".join(out)
 
 
 def _notes(name: str) -> dict[str, tuple[list[str], str]]:
-    """The comments of a file in ``conf/``: key -> lines above it, and the text beside it."""
+    """The comments of a file in ``conf/``: key -> lines above it, and the text after it."""
     path = next((p for folder in _folders if (p := folder / f"{name}.yaml").is_file()), None)
     notes: dict[str, tuple[list[str], str]] = {}
     above, last = list[str](), ""
@@ -161,8 +161,8 @@ def _notes(name: str) -> dict[str, tuple[list[str], str]]:
             above.append(comment)
         else:
             if key:
-                beside = re.search(r"\s(# .*)", line)
-                notes[key] = above, beside[1] if beside else ""
+                after = re.search(r"\s(# .*)", line)
+                notes[key] = above, after[1] if after else ""
             above, last = [], key
     return notes
 

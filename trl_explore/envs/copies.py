@@ -1,7 +1,7 @@
 """Copies of an environment: what they return is checked, and their errors name the place.
 
-An environment is somebody else's code. Everything that it returns passes through ``Copies`` before
-the program uses it: no value of a wrong type or shape is converted in silence.
+An environment is code of other authors. Everything that it returns passes through ``Copies`` before
+the program uses it: no value of a wrong type or shape is converted silently.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ class Bar:
         return self.live and time.perf_counter() - self.shown >= REFRESH
 
     def show(self, done: float, total: float, text: str = "") -> None:
-        """Show that ``done`` of ``total`` is done, with a text beside it."""
+        """Show that ``done`` of ``total`` is done, with a text after it."""
         if self.live:
             self.shown = time.perf_counter()
             self._progress.update(self._task, completed=done, total=total, text=text)
@@ -151,8 +151,8 @@ def table(jobs: Iterable[Outcomes]) -> str:
     """The outcomes of the jobs, one line for each job.
 
     "passed" counts the trials whose training scores exceeded the threshold, "learned" those whose
-    policy did without the strategy. After either stands the median of the iterations until then,
-    over all trials; "> n" if fewer than half did so within n iterations. A dash: not recorded.
+    policy did without the strategy. "after" is the median of the iterations until then, over all
+    trials; "> n" if fewer than half did so within n iterations. A dash: not recorded.
     """
     header = (
         "job", "trials", "passed", "after", "learned", "after", "mean score", "learned score",

@@ -42,10 +42,10 @@ class Lock:
     folder if it is empty. A process that opened the file just before then locks a deleted file, or
     finds no folder to create the file in; it detects this and tries again.
 
-    Some file systems (NFS, Lustre, FUSE) have no such lock: the call fails, waits for ever, or
-    excludes nobody. One warning says so, and the file, which is created only if there is none,
-    names the process. A file of a process that has ended on this computer is replaced. On another
-    computer nobody can tell, so the user must delete it.
+    Some file systems (NFS, Lustre, FUSE) have no such lock: the call fails, never returns, or
+    excludes no other process. One warning says so, and the file, which is created only if there is
+    none, names the process. If that process ran on this computer and has ended, the file is
+    replaced. Whether a process on another computer has ended is unknown: the user deletes the file.
 
     Args:
         folder: the folder; created if it does not exist.
@@ -103,7 +103,7 @@ class Lock:
             except BlockingIOError:
                 _reasons[device] = ""
             else:
-                _complain(self.folder, "they exclude nobody")
+                _complain(self.folder, "they exclude no process")
             finally:
                 os.close(other)
         return not _reasons[device]

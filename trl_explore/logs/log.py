@@ -142,7 +142,7 @@ def place_of(path: Path, folder: Path) -> str:
 def hydra_facts(path: Path, folder: Path) -> dict[str, str]:
     """What Hydra recorded about the run of a file: the overrides of the job, and its seed.
 
-    The folder ``.hydra`` is looked for beside the file and above it, up to the given folder.
+    ``.hydra`` is looked for in the folder of the file and above it, up to the given folder.
     """
     for place in [path, *path.parents]:
         if (place / ".hydra" / "overrides.yaml").is_file():

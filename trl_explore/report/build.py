@@ -26,7 +26,7 @@ from trl_explore.report.why import decomposition_tables
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
 MAP = "map.html"
-"""The page of ``trl-explore map``; the report links to it if it lies beside it."""
+"""The page of ``trl-explore map``; the report links to it if it is in the same folder."""
 METHODS, REFERENCES = "methods.md", "references.bib"
 
 
@@ -39,7 +39,7 @@ def build_report(
         folders: job or sweep folders, any number.
         out: folder of the report; ``figures/`` and ``tables/`` of an earlier report are replaced.
         study: what is asked; None: the questions are inferred from what differs.
-        say: told of every stage.
+        say: called with the name of every stage.
 
     Returns:
         Path of the page, and what is missing from the report.

@@ -1,6 +1,6 @@
 """Why strategies differ: acting, the bias of the gradient, and the data.
 
-For every strategy that was run beside softmax, three questions:
+For every strategy that was run together with softmax, three questions:
 
 * *acting*: how much of its score in training is lost to its own exploration? The same weights are
   played with and without it.
@@ -89,7 +89,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """A strategy beside softmax, each with a right and with a biased gradient.
+    """A strategy and softmax, each with a right and with a biased gradient.
 
     ``cells`` has ``reference`` and ``plain``, and of ``assumed`` and ``corrected`` those that were
     run; the names are those of ``statistics.decomposition``.
@@ -110,7 +110,7 @@ def runs_of(group: Group, heights: Mapping[str, Heights]) -> list[Run]:
 
 
 def crossings(runs: Sequence[Run]) -> list[Crossing]:
-    """Every strategy that was run beside softmax and has a further cell, in the order of the runs.
+    """Every strategy that was run together with softmax and has a further cell, in their order.
 
     The cells may belong to several experiments, but agree in everything else: environment, policy,
     loss, optimiser and stopping rule.
@@ -198,7 +198,7 @@ class Parts:
     """The difference between a strategy and softmax in one quantity, and its parts.
 
     A share is NaN, "not estimable", if the interval of the whole difference contains 0, or if the
-    difference is small beside the means (``LEAST``), as where hardly any trial learns.
+    difference is small compared with the means (``LEAST``), as where hardly any trial learns.
 
     Attributes:
         quantity: a key of ``QUANTITIES``.

@@ -36,9 +36,9 @@ from trl_explore.thesis.reexamined import CLAIMS as CAUSES
 from trl_explore.thesis.reexamined import Reexamined, reexamine
 
 MOST_ANSWERS = 8
-"""Most questions beside the main one that the answer speaks of."""
+"""The most questions, in addition to the main one, in the answer."""
 MOST_PAIRS = 400
-"""Most pairs of a question that is asked beside that of a layout."""
+"""The most pairs of a question that is asked in addition to that of a layout."""
 
 
 @dataclass(frozen=True, eq=False)

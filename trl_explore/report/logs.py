@@ -63,7 +63,7 @@ def build_page(
         found: their measures, for each environment.
         out: folder of the page.
         source: the program that wrote the runs.
-        others: quantities that all runs logged beside the score.
+        others: the other quantities that all runs logged.
 
     Raises:
         ResultsError: the folder is a link.

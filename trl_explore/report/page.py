@@ -30,7 +30,7 @@ TITLE = "What does the exploration strategy do to learning?"
 MARK = "trl_explore report"
 """In every page, so that a later report may replace it."""
 INLINE = 1_800_000
-"""Most characters of drawings inside the page; further figures are files beside it."""
+"""Most characters of drawings inside the page; further figures are files next to it."""
 OPEN = 10
 """Statements that are shown before the rest is folded."""
 PACKAGES = ("numpy", "scipy", "matplotlib")
@@ -143,7 +143,7 @@ def render(template: str, figures: Sequence[Picture], **parts: Any) -> str:
 
 
 def _code(text: str) -> Markup:
-    """The text, escaped; what stands between backticks is code."""
+    """The text, escaped; text between backticks is code."""
     pieces = text.split("`")
     return Markup("").join(
         Markup("<code>{}</code>").format(piece) if k % 2 else piece

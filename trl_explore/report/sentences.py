@@ -15,7 +15,7 @@ from trl_explore.statistics.power import trials_text
 from trl_explore.thesis import FAILS, HOLDS, NOT_MEASURED, OPEN, Checked
 
 BLOCKS = 4
-"""Most blocks of a question that its sentence speaks of."""
+"""The most blocks of a question in its sentence."""
 
 
 def answer(
@@ -144,7 +144,7 @@ def alone(groups: Sequence[Group]) -> tuple[str, ...]:
     if not names:
         return ()
     return (
-        "Compared with nothing, because no other job has the same environment and stopping rule:"
+        "Not compared, because no other job has the same environment and stopping rule:"
         f" {some(names)}.",
     )
 

@@ -20,7 +20,7 @@
     until: settled                   # add trials to the sweeps until their comparisons are decided
     budget: 500                      # most trials of a configuration then
 
-Every key may be left out; ``configurations`` only if folders are given beside the file.
+Every key may be left out; ``configurations`` only if folders are given with the file.
 ``claims: thesis`` means the statements of the thesis. Without a file, the program infers the
 questions from what differs.
 """

@@ -21,11 +21,11 @@ from trl_explore.report.tables import (
 from trl_explore.statistics.estimates import Estimate, flat
 
 MOST = 4
-"""Most strategies that a sentence speaks of: those that differ most from softmax."""
+"""The most strategies in a sentence: those that differ most from softmax."""
 
 
 class Words(NamedTuple):
-    """How a quantity is spoken of: "ε-greedy *needs* 30 *iterations* *fewer* than softmax"."""
+    """How sentences name a quantity: "ε-greedy *needs* 30 *iterations* *fewer* than softmax"."""
 
     name: str
     verb: str
@@ -99,7 +99,7 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
         size = f" ({interval(unclear[0][1].gap)} {words.unit})" if len(unclear) == 1 else ""
         none = (
             f"no share can be estimated for {some([name for name, _ in unclear])}, whose difference"
-            f" to softmax{size} is too uncertain or too small"
+            f" from softmax{size} is too uncertain or too small"
         )
     start = "Bias: a gradient that treats the actions as if they came from the policy is biased"
     if not said:
@@ -111,7 +111,7 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
 
 
 def _odd(strategy: str, p: Parts, words: Words) -> str:
-    """What the bias does, where it is no part of the difference; empty where it is one."""
+    """What the bias does, where it is not part of the difference; empty where it is."""
     ways = [(p.corrected, strategy, "without the bias", -1), (p.assumed, "softmax", "with it", 1)]
     known = [(s.value, name, how, sign) for s, name, how, sign in ways if s is not None]
     if all(-NEAR <= share <= 1 + 3 * NEAR for share, *_ in known):
@@ -159,9 +159,9 @@ def _largest(parts: Sequence[tuple[str, Parts]]) -> tuple[list[tuple[str, Parts]
 def chosen_quantity(
     found: Sequence[Decomposition], names: Sequence[str] = tuple(WORDS)
 ) -> tuple[str, list[tuple[str, Parts]]]:
-    """The quantity to speak of, and the parts of every strategy in it.
+    """The quantity to report, and the parts of every strategy in it.
 
-    Where hardly any trial learns within the cap, times tell nothing, and the score is taken.
+    Where hardly any trial learns within the cap, times are not informative, and the score is used.
     """
     known = {q: [(d.strategy, d.parts[q]) for d in found if q in d.parts] for q in names}
     told = [q for q in names if any(not np.isnan(p.bias.value) for _, p in known[q])]
@@ -194,7 +194,7 @@ def _main(found: Sequence[Decomposition]) -> Table:
         Column("strategy", "strategy", lambda r: r["strategy"]),
         Column("handicap", "acting: score in training, and without exploration",
                of(_acting), True),
-        Column("gap", f"{' or '.join(sorted(times))}: difference to softmax", part(_gap), True),
+        Column("gap", f"{' or '.join(sorted(times))}: difference from softmax", part(_gap), True),
         Column("bias", "bias: its share", part(_bias), True),
         Column("data", "data: the same, corrected", part(_data), True),
         Column("passes", "trials that pass", of(_passes), True),

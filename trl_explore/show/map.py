@@ -213,7 +213,7 @@ def _built(room: Any, config: Mapping[str, Any], **more: Any) -> Any:
     """An object of the package that a configuration names; no other is constructed."""
     name = str(config["_target_"]).rsplit(".", 1)[-1]
     if name not in room.__all__:
-        raise ResultsError(f"the map knows no {name}")
+        raise ResultsError(f"the map has no {name}")
     options = {key: value for key, value in config.items() if not key.startswith("_")}
     return getattr(room, name)(**options, **more)
 

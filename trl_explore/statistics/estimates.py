@@ -1,7 +1,8 @@
 """Estimates with intervals: proportions, quantiles and linear combinations of them.
 
-The standard deviation and the skewness depend on the rarest trials; no interval of theirs covers at
-the numbers of trials of an experiment. Differences of quantiles say the same and can be tested.
+The standard deviation and the skewness depend on the rarest trials, and no interval for them has
+the right coverage at the numbers of trials of an experiment. Differences of quantiles describe the
+same and can be tested.
 """
 
 from __future__ import annotations

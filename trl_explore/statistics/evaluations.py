@@ -1,4 +1,4 @@
-"""When a trial is evaluated, and when it has learned: the rule looks at it many times.
+"""When a trial is evaluated, and the rule that says when it has learned.
 
 Evaluations play the policy without its exploration strategy, on fresh episodes. A trial that is
 looked at forty times has a good chance of one lucky mean, so a mean above the threshold is only a
@@ -68,7 +68,7 @@ def decide(
 ) -> NDArray[np.int8]:
     """Whether confirmation episodes show that the mean score exceeds the threshold.
 
-    With n scores of mean m̄ > θ, two bad episodes are imagined beside them, of score
+    With n scores of mean m̄ > θ, two bad episodes are added to them, of score
 
         b = max(lowest, θ - 50 (m̄ - θ))   if the trial ever scored at most θ, else the second.
 
@@ -76,9 +76,10 @@ def decide(
 
         m - 4 s / √(n + 2) > θ.
 
-    Otherwise it goes on while m̄ > θ and ``most`` episodes could suffice, √most (m̄ - θ) > 4 s̄.
+    If not, the next stage is played if m̄ > θ and ``most`` episodes could suffice:
+    √most (m̄ - θ) > 4 s̄.
 
-    The imagined episodes protect from failures too rare to be seen in n episodes: without a failure
+    The added episodes protect from failures too rare to be seen in n episodes: without a failure
     seen, n > 7.7 (1 + (θ - b) / (m̄ - θ)) episodes are needed.
 
     Args:

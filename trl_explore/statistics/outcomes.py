@@ -30,7 +30,7 @@ class Outcomes:
     the cap, regardless of the iteration in which it stopped.
 
     What stopped a trial (``converged``) depends on ``stop_on``. What it did while it explored
-    (``passed``) and what it learned (``learned``) are recorded beside it, or are None;
+    (``passed``) and what it learned (``learned``) are recorded too, or are None;
     :func:`judged` turns one of the two into ``converged``.
 
     Attributes:

@@ -1,10 +1,6 @@
 """Strategies: behaviour distributions μ(·|s) made from the output of a target policy."""
 
-from trl_explore.strategies.continuous import ContinuousStrategy
-from trl_explore.strategies.count_bonus import CountBonus
-from trl_explore.strategies.discrete import Strategy, inverse_cdf
-from trl_explore.strategies.epsilon_z_greedy import EpsilonZGreedy
-from trl_explore.strategies.family import (
+from trl_explore.strategies.classic import (
     Argmax,
     DecayingEpsilonGreedy,
     EpsilonGreedy,
@@ -14,6 +10,10 @@ from trl_explore.strategies.family import (
     Random,
     Softmax,
 )
+from trl_explore.strategies.continuous import ContinuousStrategy
+from trl_explore.strategies.count_bonus import CountBonus
+from trl_explore.strategies.discrete import Strategy, inverse_cdf
+from trl_explore.strategies.epsilon_z_greedy import EpsilonZGreedy
 from trl_explore.strategies.gaussian import (
     ContinuousMixture,
     ContinuousMixtureStrategy,

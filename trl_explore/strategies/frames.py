@@ -58,8 +58,8 @@ class FirstFrames:
 
     A frame is the first if its "is_init" is true (TorchRL's ``InitTracker``), its "step_count" is 0
     (``StepCounter``), or its ("collector", "traj_ids"), which TorchRL's collectors write, is not
-    that of the lane's frame before. If there is none of these, nobody can see where an episode
-    begins; a warning says so once.
+    that of the lane's frame before. Without any of these, the start of an episode is unknown;
+    a warning says so once.
 
     Args:
         name: the name of the strategy, for the warning.

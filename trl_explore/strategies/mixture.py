@@ -1,4 +1,4 @@
-"""The family of mixtures of argmax, softmax and uniform."""
+"""Mixtures of argmax, softmax and uniform: weights, probabilities, ties."""
 
 from __future__ import annotations
 

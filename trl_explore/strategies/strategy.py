@@ -59,7 +59,7 @@ class BaseStrategy(Parametrised):
     Args:
         in_keys: the entries to read.
         action_key: the entry to write the action to.
-        log_prob_key: the entry to write the log-probability to; None: beside the action, with the
+        log_prob_key: the entry to write the log-probability to; None: next to the action, with the
             suffix "_log_prob".
         noise_key: the entry with uniform numbers in [0, 1) that decide the draw ([*batch], or
             [*batch, noise_size]); None: there is none, except from a collector of this package.

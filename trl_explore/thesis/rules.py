@@ -38,7 +38,7 @@ from trl_explore.thesis.study import NotMeasuredError, Study, Unit
 RARELY, CONSISTENTLY, ALMOST_ALWAYS, MOSTLY = 0.01, 0.90, 0.80, 0.50
 """The margins of the words."""
 THESIS_COSTS = (1.0, 10.0)
-"""What an iteration costs in the thesis's program, beside its frames, in frames."""
+"""What an iteration costs in the thesis's program, in addition to its frames, in frames."""
 COSTS = (0.0, *THESIS_COSTS, 30.0, 100.0, 1000.0)
 
 Verdict = Literal["holds", "does not hold", "open", "not measured"]
@@ -211,9 +211,9 @@ def in_time(decide: UnitDecision) -> Decision:
 
     time = frames + κ · iterations, in the time of a frame
 
-    κ is what an iteration costs beside its frames: between 1 and 10 in the thesis's program, more
-    where a frame is fast. The verdict is that for the thesis's κ; the evidence states for which κ
-    of ``COSTS`` each verdict holds, and what the seconds of trials that were timed alone say.
+    κ is what an iteration costs in addition to its frames: between 1 and 10 in the thesis's
+    program, more where a frame is fast. The verdict is that for the thesis's κ; the evidence states
+    for which κ of ``COSTS`` each verdict holds, and what the seconds of trials timed alone say.
     """
 
     def over_costs(study: Study) -> Finding:

@@ -15,9 +15,9 @@ class CountReward(nn.Module):
 
     N counts how often the trial has taken the action in the cell φ(s) (``VisitCounts``), this
     iteration included, so that it is at least 1. It is the bonus of MBIE-EB (Strehl & Littman 2008)
-    as a reward: an action that leads to what is new is worth more, even many steps before. Only
-    the loss sees it. The score, "episode_reward" and the stopping rule are those of the
-    environment.
+    as a reward: an action that leads to something new, even many steps later, has a larger
+    return. Only the loss uses it. The score, "episode_reward" and the stopping rule are those of
+    the environment.
 
     Args:
         beta: β >= 0; 0 adds nothing and counts nothing.

@@ -68,7 +68,7 @@ DIAGNOSTICS: Mapping[str, Diagnostic] = {
         "Kong’s effective sample size of the ratios π/μ of an episode, as a share of its frames: 1"
         " if all frames have equal weight, near 0 if a few outweigh all others. It weights single"
         " actions; weights of whole episodes are far worse. Argmax looks harmless here, because"
-        " the actions that it never takes leave no trace.",
+        " the actions that it never takes are not in the data.",
         bounds=(0.0, 1.0),
     ),
     "exploratory": Diagnostic(
@@ -93,7 +93,7 @@ DIAGNOSTICS: Mapping[str, Diagnostic] = {
         may_be_log=True,
     ),
     "gradient_norm": Diagnostic(
-        "How strong the signal was",
+        "How large the gradient was",
         "norm of the gradient",
         "Euclidean norm of the gradient of a trial’s loss, before the optimiser step.",
         bounds=(0.0, inf),

@@ -47,7 +47,7 @@ class Trainer:
         trials: the record with the stopping rule.
         evaluator: plays the policy without exploration, and decides when a trial has learned.
         diagnostics: records quantities that explain how a trial learns.
-        intrinsic: adds an intrinsic reward to the frames that the loss sees; None: none.
+        intrinsic: adds an intrinsic reward to the frames for the loss; None: none.
         snapshots: keeps the weights after some iterations.
         on_iteration: called after each iteration with the record.
 

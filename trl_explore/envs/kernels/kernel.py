@@ -121,7 +121,7 @@ def register_kernel(
     """Decorator: register a function that builds the kernel of an instance of ``env_class``.
 
     The function takes the unwrapped environment and reads the kernel's parameters from it. The
-    kernel stands for the methods that the class has now: if one is replaced later, there is none.
+    kernel belongs to the present methods of the class: if one is replaced later, there is none.
     """
 
     def register(builder: Callable[[Any], Kernel]) -> Callable[[Any], Kernel]:

@@ -1,7 +1,7 @@
 """Environments with a table of transitions: gymnasium's toy_text, RiverSwim and two rooms.
 
 The table is ``P[state][action]``, a list of outcomes (probability, next state, reward, terminated),
-beside the distribution of the initial state. The observation is the one-hot state.
+with the distribution of the initial state. The observation is the one-hot state.
 """
 
 from __future__ import annotations

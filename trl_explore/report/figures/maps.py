@@ -31,7 +31,7 @@ def plot_plane(
     scale: tuple[float, float],
     marked: tuple[int, int] | None = None,
 ) -> None:
-    """Draw a map; light is good in both themes of the page.
+    """Draw a map; lighter is better in both themes of the page.
 
     Every cell shows its number in a contrasting colour, so the map can be read without
     distinguishing colours. Cells without a value are empty.
@@ -127,15 +127,15 @@ def _frame(e: GroupEvidence) -> str:
 def _pass_caption(e: GroupEvidence) -> str:
     width = max(50 * (s.pass_rate.high - s.pass_rate.low) for s in e.summaries)
     return (
-        f"Percentage of {trials(e)} trials that pass; light is good. {_frame(e)}A cell is uncertain"
-        f" by up to ±{width:.0f} points: look at the overall pattern, not at single cells."
+        f"Percentage of {trials(e)} trials that pass; lighter is better. {_frame(e)}A cell is"
+        f" uncertain by up to ±{width:.0f} points: look at the pattern, not at single cells."
     )
 
 
 def _iterations_caption(e: GroupEvidence) -> str:
     return (
         "Mean number of iterations to convergence; failed trials count as"
-        f" {e.group.cap:,}. Light is fast. {_frame(e)}"
+        f" {e.group.cap:,}. Lighter is faster. {_frame(e)}"
     )
 
 

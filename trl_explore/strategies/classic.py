@@ -1,4 +1,4 @@
-"""The strategies that are points of one family: argmax, softmax, uniform, and mixtures."""
+"""The classic strategies: random, argmax, ε-greedy, softmax, and other mixtures of them."""
 
 from __future__ import annotations
 
