@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from trl_explore.statistics.learning import LEARNED, UNDECIDED, decide, schedule, stages
+from trl_explore.statistics.evaluations import LEARNED, UNDECIDED, decide, schedule, stages
 
 Draw = Callable[[np.random.Generator, tuple[int, ...]], NDArray[np.float64]]
 THRESHOLD, LOWEST, HIGHEST = 195.0, 9.0, 500.0

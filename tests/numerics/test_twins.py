@@ -21,8 +21,8 @@ from trl_explore.numerics.compiled.philox import STATE_SIZE, begin, ndtri, rando
 from trl_explore.numerics.densities import categorical_log_prob
 from trl_explore.numerics.layers import ACTIVATIONS, activate, lane_linear
 from trl_explore.numerics.returns import return_to_go
-from trl_explore.numerics.score import linear_softmax_score
 from trl_explore.numerics.streams import Stream, generator, key
+from trl_explore.numerics.surrogate import linear_softmax_surrogate
 
 
 def draws(*shape, dtype):
@@ -66,7 +66,7 @@ def returns(dtype):
     return [return_to_go(draws(60, dtype=dtype), done, 0.9, TRIAL)]
 
 
-def score(dtype):
+def surrogate(dtype):
     """Two actions, three, and one-hot states."""
     found, state = [], torch.nn.functional.one_hot(torch.arange(60) % 8, 8).to(dtype)
     dense = draws(60, 4, dtype=dtype)
@@ -74,7 +74,8 @@ def score(dtype):
         weight = draws(5, n_actions, x.shape[1], dtype=dtype)
         action, advantage = torch.arange(60) % n_actions, draws(60, dtype=dtype)
         found += differentiated(
-            lambda w, x=x, a=action, f=advantage: linear_softmax_score(x, w, a, f, TRIAL), weight
+            lambda w, x=x, a=action, f=advantage: linear_softmax_surrogate(x, w, a, f, TRIAL),
+            weight,
         )
     return found
 
@@ -84,7 +85,7 @@ OPERATIONS = {
     "layers.plain_activate": activations,
     "densities.plain_categorical_log_prob": softmax,
     "returns.plain_return_to_go": returns,
-    "score.plain_linear_softmax_score": score,
+    "surrogate.plain_linear_softmax_surrogate": surrogate,
 }
 
 
@@ -173,7 +174,7 @@ def compiled_functions():
                 yield f"{module.name}.{name}", python
 
 
-MAKERS = {"arrays.columns", "arrays.dot", "score.score_many", "score.score_two"}
+MAKERS = {"arrays.columns", "arrays.dot", "surrogate.surrogate_many", "surrogate.surrogate_two"}
 """Compiled when they are called, or into their caller: found by their names only."""
 
 

@@ -9,7 +9,7 @@ from torch.distributions import Categorical, kl_divergence
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.envs import make_env
-from trl_explore.numerics.score import lane_sum
+from trl_explore.numerics.layers import lane_sum
 from trl_explore.policies import LinearPolicy, MLPPolicy
 from trl_explore.policies.actor import SoftmaxActor, SoftmaxCategorical, frame_log_prob
 

@@ -13,7 +13,7 @@ from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.envs import make_env
-from trl_explore.numerics.score import lane_sum
+from trl_explore.numerics.layers import lane_sum
 from trl_explore.policies import (
     GaussianLinearPolicy,
     GaussianMLPPolicy,

@@ -13,7 +13,7 @@ import pytest
 from trl_explore.jobs.reading import read_job
 from trl_explore.report import style
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.training.columns import DIAGNOSTIC_COLUMNS
+from trl_explore.training.quantities import DIAGNOSTIC_COLUMNS
 
 
 def write_job(

@@ -13,7 +13,7 @@ from trl_explore.report.build import build_report
 from trl_explore.report.curves import Heights
 from trl_explore.report.decomposition import Run, crossings, decompose
 from trl_explore.report.figures import draw_why
-from trl_explore.report.study import StudyFile
+from trl_explore.report.study_file import StudyFile
 from trl_explore.report.why import decomposition_tables, headline
 from trl_explore.statistics.outcomes import judged
 

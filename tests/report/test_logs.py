@@ -94,3 +94,16 @@ def test_seeds_that_are_too_few_for_any_result_are_said_to_be(tmp_path, capsys):
     text = " ".join((tmp_path / "report" / "index.html").read_text().split())
     assert "with 6 pairs none, corrected for 3 comparisons, is ever significant at 5 %" in text
     assert "at least 7 seeds are needed" in text
+
+
+def test_runs_of_unknown_seed_that_are_too_few_are_said_to_be(tmp_path, capsys):
+    """Of 3 and 3 runs no p is below 2 / C(6, 3) = 0.1; of 4 and 4, 2 / C(8, 4) = 0.029."""
+    lines = ["algo,run,step,score"]
+    lines += [f"{a},{a}{r},{t},{t * (1 + 9 * k) + r}" for k, a in enumerate("xy")
+              for r in range(3) for t in (1, 2)]  # fmt: skip
+    (tmp_path / "runs.csv").write_text("\n".join(lines))
+    assert report(capsys, "--from", "csv", tmp_path)[0] == 0
+    text = " ".join((tmp_path / "report" / "index.html").read_text().split())
+    assert "with 3 runs of each none is ever significant at 5 %; at least 4 runs of each" in text
+    assert "says how many would be needed" not in text
+    assert "at each score on its own" in text

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from tests.statistics import conftest
+from trl_explore.report.factors import Factor
+from trl_explore.report.questions import Block, Question
 from trl_explore.report.sentences import (
     answer,
     option_sentences,
     plane_sentences,
+    question_sentence,
     verdicts,
 )
 from trl_explore.statistics.comparisons import compare_all, compare_pairs
@@ -58,6 +61,16 @@ def test_nobody_wins_by_a_mean(make, rng):
     assert "argmax" in first
     assert second.startswith("0 of 1 pair")
     assert "softmax and argmax" in second
+
+
+def test_the_smallest_of_equal_means_is_not_named(make):
+    jobs = [make([100, 200, 300] * 4), make([200, 300, 100] * 4, strategy="argmax")]
+    names = tuple(c.name for c in jobs)
+    factor = Factor("strategy", "strategy", dict(zip(names, names, strict=True)),
+                    dict(zip(names, names, strict=True)))  # fmt: skip
+    question = Question((factor,), (Block("", names),))
+    said = question_sentence(question, compare_all(jobs), {c.name: c for c in jobs})
+    assert "softmax and argmax have the same mean, 200 iterations (difference 0 [" in said
 
 
 def test_labels(jobs):

@@ -12,8 +12,8 @@ from PIL import Image, ImageColor
 
 from trl_explore.commands import watch
 from trl_explore.config.composing import RecordedJob, recompose_all
-from trl_explore.show.episodes import play
 from trl_explore.show.film import HOLD, MARK, Panel, compose, pictures
+from trl_explore.show.playing import play
 
 SMALL = ["trials=3", "first_trial=4", "max_iterations=8", "score_window=2", "keep_weights=[0,3]",
          "evaluate_every=5", "score_threshold=1000"]  # fmt: skip

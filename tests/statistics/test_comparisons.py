@@ -12,6 +12,7 @@ from trl_explore.statistics.comparisons import (
     compare_pairs,
     holm,
     holm_levels,
+    too_few,
 )
 from trl_explore.statistics.estimates import Estimate
 
@@ -232,3 +233,24 @@ def test_area_under_the_curve(make, rng):
     assert measure.of(b).values[3] == pytest.approx(
         (stopped[3, :40].sum() + 10 * stopped[3, 39]) / 50
     )
+
+
+@pytest.mark.parametrize(
+    ("n", "jobs", "paired", "fewest"),
+    [
+        (5, 2, True, 6),  # 2 / 2^5 = 0.0625, 2 / 2^6 = 0.031
+        (6, 2, True, None),
+        (6, 3, True, 7),  # three pairs: 0.05 / 3 = 0.0167, 2 / 2^7 = 0.0156
+        (3, 2, False, 4),  # 2 / C(6, 3) = 0.1, 2 / C(8, 4) = 0.029
+        (4, 2, False, None),
+        (4, 4, False, 5),  # six pairs: 0.0083, 2 / C(10, 5) = 0.0079
+    ],
+)
+def test_the_fewest_trials_with_which_a_pair_can_be_significant(make, n, jobs, paired, fewest):
+    made = [
+        make(np.arange(n) + 10 * k, strategy=f"s{k}", seed=0 if paired else k) for k in range(jobs)
+    ]
+    found = compare_all(made, SCORE)
+    assert {c.design == "paired" for c in found} == {paired}
+    assert too_few(found) == fewest
+    assert too_few([]) is None

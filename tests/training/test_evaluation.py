@@ -19,7 +19,7 @@ from trl_explore.envs import make_env
 from trl_explore.numerics.streams import Stream, generator
 from trl_explore.policies import LinearPolicy
 from trl_explore.policies.actor import SoftmaxActor
-from trl_explore.statistics.learning import decide, stages
+from trl_explore.statistics.evaluations import decide, stages
 from trl_explore.strategies import EpsilonGreedy, ParameterNoise
 from trl_explore.training.diagnostics import COLUMNS, Diagnostics
 

@@ -15,7 +15,7 @@ from trl_explore.logs.csv_files import USUAL
 from trl_explore.logs.measures import tasks
 from trl_explore.logs.runs import READERS, read_runs
 from trl_explore.report.build import build_report
-from trl_explore.report.study import THESIS, StudyFile, read_study
+from trl_explore.report.study_file import THESIS, StudyFile, read_study
 
 STUDIES = (".yaml", ".yml")
 PROGRAM = "import sys; from trl_explore.commands.main import main; sys.exit(main(sys.argv[1:]))"

@@ -34,8 +34,8 @@ def film(
     out: Path,
 ) -> list[str]:
     """Write the film; returns a line on each episode."""
-    from trl_explore.show.episodes import play
     from trl_explore.show.film import ROW, Panel, write_film
+    from trl_explore.show.playing import play
 
     if (number := len(jobs) * len(iterations)) > MOST:
         raise ConfigError(f"a film shows at most {MOST} episodes, got {number}")

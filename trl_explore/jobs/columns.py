@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.jobs.files import ResultsError, read_file
-from trl_explore.statistics.learning import PURPOSES
+from trl_explore.statistics.evaluations import PURPOSES
 from trl_explore.statistics.outcomes import STATUSES
 
 TRIALS, EPISODES, SCALARS = "trials.csv", "episodes.csv", "scalars"

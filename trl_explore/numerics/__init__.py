@@ -62,7 +62,7 @@ TWINS = {
     "returns.end_of_run": "returns.plain_return_to_go",
     "returns.returns": "returns.plain_return_to_go",
     "returns.run_returns": "returns.plain_return_to_go",
-    "score.score_many": "score.plain_linear_softmax_score",
-    "score.score_two": "score.plain_linear_softmax_score",
+    "surrogate.surrogate_many": "surrogate.plain_linear_softmax_surrogate",
+    "surrogate.surrogate_two": "surrogate.plain_linear_softmax_surrogate",
 }
 """Compiled function in ``numerics.compiled`` -> its plain twin in ``numerics`` or a library."""

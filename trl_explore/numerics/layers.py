@@ -1,4 +1,4 @@
-"""Affine layers with separate weights for each trial, and activations, over all trials' frames."""
+"""Over the frames of all trials: affine layers with weights per trial, sums, and activations."""
 
 from __future__ import annotations
 
@@ -112,6 +112,24 @@ class _LaneLinear(torch.autograd.Function):
             to_weight = torch.from_numpy(slope).to(x.dtype)
             to_bias = torch.from_numpy(slope0).to(x.dtype) if ctx.biased else None
         return to_x, to_weight, None, to_bias
+
+
+def lane_sum(values: Tensor, trial: Tensor, trials: int) -> Tensor:
+    """S_k = Σ_{i: trial_i = k} values_i, summed in the order of the frames.
+
+    Args:
+        values: [frames].
+        trial: [frames] int64 in [0, trials).
+        trials: the number of sums.
+
+    Returns:
+        [trials].
+
+    Example:
+        >>> lane_sum(torch.tensor([1.0, 2.0, 3.0]), torch.tensor([0, 0, 2]), 3).tolist()
+        [3.0, 0.0, 3.0]
+    """
+    return values.new_zeros(trials).index_add(0, trial, values)
 
 
 def activate(x: Tensor, activation: str) -> Tensor:

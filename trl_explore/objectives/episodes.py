@@ -10,8 +10,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from trl_explore.numerics.layers import lane_sum
 from trl_explore.numerics.returns import return_to_go
-from trl_explore.numerics.score import lane_sum
 
 
 class Layout(NamedTuple):

@@ -8,7 +8,7 @@ from typing import cast
 from tensordict.nn import ProbabilisticTensorDictSequential
 from torch import Tensor
 
-from trl_explore.numerics.score import (
+from trl_explore.numerics.surrogate import (
     formula_serves,
     linear_softmax_gradient,
     linear_softmax_reinforce,

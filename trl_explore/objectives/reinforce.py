@@ -15,7 +15,7 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives.common import LossModule
 
 from trl_explore.checks import check_flag, check_integer, check_number, settle
-from trl_explore.numerics.score import linear_softmax_score
+from trl_explore.numerics.surrogate import linear_softmax_surrogate
 from trl_explore.objectives.baselines import Baseline, Constant, as_baseline
 from trl_explore.objectives.corrections import Correction, NoCorrection, log_ratio_of
 from trl_explore.objectives.episodes import Episodes
@@ -221,12 +221,14 @@ class ReinforceLoss(LossModule):
             weight = self._linear_weight(episodes)
             if weight is None:
                 log_prob = episodes.flat(frame_log_prob(self.actor_network, frames, action))
-                score = episodes.by_trial(log_prob * factor)
+                surrogate = episodes.by_trial(log_prob * factor)
             else:
                 action = fitted(action, episodes.trial.shape, weight.shape[1])
                 observation = frames.get("observation")
-                score = linear_softmax_score(observation, weight, action, factor, episodes.trial)
-            trial_loss = score * -self.weight
+                surrogate = linear_softmax_surrogate(
+                    observation, weight, action, factor, episodes.trial
+                )
+            trial_loss = surrogate * -self.weight
             if self.entropy_coeff:
                 bonus = episodes.by_trial(episodes.flat(frame_entropy(self.actor_network, frames)))
                 trial_loss = trial_loss - self.weight * self.entropy_coeff * bonus

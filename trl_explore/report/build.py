@@ -8,7 +8,6 @@ from pathlib import Path
 from types import MappingProxyType
 
 from trl_explore.jobs.columns import ResultsError
-from trl_explore.report.claims import claims_table, why_tables
 from trl_explore.report.evidence import GroupEvidence, gather
 from trl_explore.report.figures import Picture, draw_all, draw_why
 from trl_explore.report.loading import Gap, Say, load, silent
@@ -20,8 +19,9 @@ from trl_explore.report.results_tables import (
     jobs_table,
     summary_table,
 )
-from trl_explore.report.study import StudyFile
+from trl_explore.report.study_file import StudyFile
 from trl_explore.report.tables import Table
+from trl_explore.report.verdicts import claims_table, why_tables
 from trl_explore.report.why import decomposition_tables
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"

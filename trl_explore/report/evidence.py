@@ -24,15 +24,16 @@ from trl_explore.report.sentences import (
     score_sentence,
     verdicts,
 )
-from trl_explore.report.study import StudyFile
+from trl_explore.report.study_file import StudyFile
 from trl_explore.report.why import headline
-from trl_explore.statistics.comparisons import SCORE, Comparison, compare_pairs
+from trl_explore.statistics.comparisons import SCORE, Comparison, compare_pairs, too_few
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import SharedTrials, shared_trials
-from trl_explore.statistics.power import fewest_pairs
 from trl_explore.statistics.summary import Summary, summarise
-from trl_explore.thesis import CLAIMS, NOT_MEASURED, Checked, Study, check_claims, why
+from trl_explore.thesis import CLAIMS, NOT_MEASURED, Checked, Study, check_claims
+from trl_explore.thesis.reexamined import CLAIMS as CAUSES
+from trl_explore.thesis.reexamined import Reexamined, reexamine
 
 MOST_ANSWERS = 8
 """Most questions beside the main one that the answer speaks of."""
@@ -107,7 +108,7 @@ class Evidence:
     study: StudyFile
     groups: list[GroupEvidence]
     checked: list[Checked]
-    reexamined: list[why.Reexamined]
+    reexamined: list[Reexamined]
     causes: list[Checked]
     decompositions: list[Decomposition]
     answer: tuple[str, ...]
@@ -180,10 +181,10 @@ def _checked(data: Study, study: StudyFile) -> list[Checked]:
     return found if any(c.finding.verdict != NOT_MEASURED for c in found) else []
 
 
-def _why(study: Study) -> tuple[list[why.Reexamined], list[Checked]]:
+def _why(study: Study) -> tuple[list[Reexamined], list[Checked]]:
     if not any(experiment(o.experiment).why for o in study.outcomes):
         return [], []
-    return why.reexamine(study), check_claims(study, why.CLAIMS)
+    return reexamine(study), check_claims(study, CAUSES)
 
 
 def _answers(parts: Sequence[GroupEvidence]) -> tuple[str, ...]:
@@ -291,19 +292,17 @@ def _pairs(group: Group) -> list[tuple[Outcomes, Outcomes]]:
         return [(by_name[a], by_name[b]) for a, b in layout.pairs()]
     if group.free and not group.chosen:
         return list(combinations(group.configurations, 2))
-    names = dict.fromkeys(pair for question in group.questions for pair in question.pairs)
-    return [(by_name[a], by_name[b]) for a, b in names]
+    asked = [pair for question in group.questions for pair in question.pairs]
+    # Two questions may ask for the same pair, in either order.
+    names = {frozenset(pair): pair for pair in reversed(asked)}
+    return [(by_name[a], by_name[b]) for a, b in reversed(names.values())]
 
 
 def _too_few(comparisons: Sequence[Comparison], level: float) -> tuple[str, ...]:
     """A warning if there are too few trials for any significant difference; otherwise nothing."""
-    paired = [c for c in comparisons if c.design == "paired"]
-    if not paired or len(paired) < len(comparisons):
+    if (fewest := too_few(comparisons, level=level)) is None:
         return ()
-    n, tests = max(c.n_a for c in paired), len(paired)
-    fewest = fewest_pairs(1.0 - (1.0 - level) / tests)
-    if n >= fewest:
-        return ()
+    n, tests = max(min(c.n_a, c.n_b) for c in comparisons), len(comparisons)
     corrected = f", corrected for {tests} comparisons," if tests > 1 else ""
     return (
         f"There may still be large differences: {n} trials are too few for any significant result."

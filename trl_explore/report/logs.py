@@ -27,10 +27,9 @@ from trl_explore.report.tables import (
     p_value,
     rate_cell,
 )
-from trl_explore.statistics.comparisons import Comparison, Measure, compare_all
+from trl_explore.statistics.comparisons import Comparison, Measure, compare_all, too_few
 from trl_explore.statistics.estimates import LEVEL, Estimate, flat, pass_rate
 from trl_explore.statistics.means import mean_interval
-from trl_explore.statistics.power import fewest_pairs
 from trl_explore.statistics.samples import Sample
 from trl_explore.statistics.summary import interquartile_mean
 from trl_explore.statistics.survival import kaplan_meier, median_time
@@ -84,6 +83,7 @@ def build_page(
         level=f"{100 * LEVEL:g} %",
         versions=[f"{name} {version(name)}" for name in ("trl_explore", "numpy", "scipy")],
         most=max(len(c) for task in found for c in task.configurations),
+        powered=any(r.get("trials_needed") for s in sections for t in s.tables for r in t.records),
     )
 
 
@@ -162,16 +162,17 @@ def _answer(task: Task, rows: Sequence[tuple[Measure, Sequence[Comparison]]]) ->
     for measure, table in rows:
         won = sorted((c for c in table if c.winner), key=lambda c: c.p_value)
         most = max(min(c.n_a, c.n_b) for c in table)
-        fewest = fewest_pairs(1 - (1 - LEVEL) / len(table))
         if won:
             more = f" Of {len(table)} pairs, {len(won)} differ." if len(table) > 1 else ""
             sentences.append(pair_sentence(won[0], measure) + more)
-        elif all(c.design == "paired" for c in table) and most < fewest:
+        elif fewest := too_few(table):
+            paired = all(c.design == "paired" for c in table)
+            design, units = ("pairs", "seeds") if paired else ("runs of each", "runs of each")
             corrected = f", corrected for {len(table)} comparisons," if len(table) > 1 else ""
             sentences.append(
-                f"No difference in {measure.name} can be established: with {most} pairs none"
+                f"No difference in {measure.name} can be established: with {most} {design} none"
                 f"{corrected} is ever significant at {100 * (1 - LEVEL):g} %; at least {fewest}"
-                " seeds are needed."
+                f" {units} are needed."
             )
         elif len(table) == 1:
             sentences.append(pair_sentence(table[0], measure))

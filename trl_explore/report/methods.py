@@ -10,6 +10,7 @@ from typing import Any
 
 from trl_explore.report.evidence import Evidence
 from trl_explore.report.factors import settings_of
+from trl_explore.report.groups import Group
 from trl_explore.report.tables import Column, Record, Table, listed
 from trl_explore.statistics.outcomes import Outcomes
 
@@ -85,7 +86,7 @@ def paragraph(evidence: Evidence) -> str:
     count = sum(len(p.group.configurations) for p in evidence.groups)
     level = f"{100 * evidence.study.level:g} %"
     same = {label: values[0] for label, values in known.items() if len(values) == 1}
-    varied = [label for label, values in known.items() if len(values) > 1 and label not in RULES]
+    varied = list(dict.fromkeys(f.label for p in evidence.groups for f in p.group.factors))
     where = listed(list(dict.fromkeys(p.group.environment for p in evidence.groups)))
     agent = [
         f"{text.format(same[label])}"
@@ -97,11 +98,17 @@ def paragraph(evidence: Evidence) -> str:
         }.items()
         if label in same
     ]  # fmt: skip
+    places = {p.group.environment for p in evidence.groups}
     rules = list(dict.fromkeys(
-        f"its mean score over the last {p.group.window} episodes exceeded {p.group.threshold:g}"
+        f"{_success(p.group)} {p.group.threshold:g}"
+        f"{f' on {p.group.environment}' if len(places) > 1 else ''}"
         f" (cap: {p.group.cap:,} iterations)"
         for p in evidence.groups
     ))  # fmt: skip
+    did = evidence.groups[0].group.did
+    seeds = dict.fromkeys(seed for text in known["seeds"] for seed in text.split(", "))
+    pairs = any(c.design == "paired" for p in evidence.groups for c in p.comparisons)
+    paired = " and are compared in pairs" if pairs else ""
     tested = sum(len(p.comparisons) for p in evidence.groups)
     names = {k: v for o in evidence.outcomes for k, v in _versions(o).items()}
     used = [f"{name} {names[name]}" for name in ("trl_explore", "torch", "torchrl", "gymnasium")
@@ -110,16 +117,20 @@ def paragraph(evidence: Evidence) -> str:
         [
             f"We trained {trials:,} independent agents ({count} configurations,"
             f" {frames:,} environment steps) on {where} with REINFORCE (Williams, 1992).",
-            f"In all of them, {listed(agent)}." if agent else "",
+            f"In all of them, {listed(agent)}.".replace("the baseline was no", "there was no")
+            if agent
+            else "",
             f"The configurations differed in {listed(varied)}." if varied else "",
-            f"An agent passed when {listed(rules[:3])}; agents that had not passed at the cap are"
+            f"An agent {did} when {' or '.join(rules)}; agents that had not {did} at the cap are"
             " right-censored.",
-            f"Agents of the same seed and index (seeds: {', '.join(known['seeds'])}) share initial"
-            " weights and random streams under every configuration and are compared in pairs.",
+            f"Agents of the same seed and index (seeds: {', '.join(seeds)}) share initial"
+            f" weights and random streams under every configuration{paired}.",
             f"Shares have Wilson intervals at the {level} level; mean times are restricted to the"
             " cap and have intervals by the method of variance estimates recovery (Zou & Donner,"
             " 2008); survival curves are Kaplan–Meier estimates.",
             f"The {tested} comparisons were corrected by Holm’s method within each question."
+            if tested > 1
+            else "One pair was compared."
             if tested
             else "No configurations were compared.",
             f"Software: {', '.join(used)}." if used else "",
@@ -145,6 +156,12 @@ def _rule(c: Outcomes) -> dict[str, str]:
         "trials": f"{len(c):,}",
         "seeds": ", ".join(map(str, seeds)),
     }
+
+
+def _success(group: Group) -> str:
+    if group.did == "learned":
+        return "fresh episodes, played without the strategy, confirmed a mean score above"
+    return f"its mean score over the last {group.window} episodes exceeded"
 
 
 def _versions(o: Outcomes) -> Mapping[str, Any]:

@@ -16,12 +16,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from trl_explore.names import STRATEGIES, strategy_label
-from trl_explore.report.claims import claims_table, distance, tally
 from trl_explore.report.evidence import Evidence, GroupEvidence
 from trl_explore.report.figures import Drawn, Picture
 from trl_explore.report.groups import Group
 from trl_explore.report.style import inline_svg, theme_css
 from trl_explore.report.tables import Table, listed
+from trl_explore.report.verdicts import claims_table, distance, tally
 from trl_explore.report.why import headline
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.thesis import NOT_MEASURED

@@ -18,11 +18,14 @@ from trl_explore.report.factors import Factor, arguments, canonical, class_words
 from trl_explore.report.groups import Group
 from trl_explore.report.loading import Job
 from trl_explore.report.questions import Block, Question, ask, differing
-from trl_explore.report.study import MEASURES, RULES, Effect, Selector, StudyFile
+from trl_explore.report.study_file import MEASURES, RULES, Effect, Selector, StudyFile
 from trl_explore.report.tables import some
 from trl_explore.statistics.outcomes import Outcomes, judged
 from trl_explore.statistics.pairing import AGENT_GROUPS, configuration_key, deduplicate, pool
 from trl_explore.thesis import CLAIMS, Claim, Finding, NotMeasuredError, Study, rules
+
+ENVIRONMENT = ("env", "environment")
+"""What a study calls the environment, which is no factor: environments are never compared."""
 
 
 def without(jobs: Sequence[Job], study: StudyFile) -> list[Job]:
@@ -62,9 +65,10 @@ def asked(groups: Sequence[Group], study: StudyFile) -> list[Group]:
     if not study.compare:
         return list(groups)
     found: dict[str, list[Question]] = {g.id: [] for g in groups}
+    places = ENVIRONMENT if len({g.environment for g in groups}) > 1 else ()
     for k, item in enumerate(study.compare):
         where = f"{study.path}: compare[{k}]"
-        answers = {g.id: _question(g, item) for g in groups}
+        answers = {g.id: _question(g, item, places) for g in groups}
         if not any(answers.values()):
             raise ResultsError(f"{where}: {_reason(groups, item)}")
         for name, question in answers.items():
@@ -97,11 +101,14 @@ def fits(c: Outcomes, selector: Selector) -> bool:
     return all(_has(c, str(key), value) for key, value in selector.items())
 
 
-def _question(group: Group, item: Effect | tuple[Selector, Selector]) -> Question | None:
+def _question(
+    group: Group, item: Effect | tuple[Selector, Selector], places: Sequence[str]
+) -> Question | None:
     names = [c.name for c in group.configurations]
     if isinstance(item, Effect):
         of = [_factor(group.factors, word) for word in item.of]
-        at = [_factor(group.factors, word) for word in item.at]
+        # Every environment is a group of its own.
+        at = [_factor(group.factors, word) for word in item.at if word not in places]
         if None in of or None in at:
             return None
         return ask(names, group.factors, [f for f in of if f is not None])
@@ -127,7 +134,7 @@ def _reason(groups: Sequence[Group], item: Effect | tuple[Selector, Selector]) -
     varied = list(dict.fromkeys(f.label for g in groups for f in g.factors))
     if isinstance(item, Effect):
         for word in (*item.of, *item.at):
-            if word in ("env", "environment") or not any(_factor(g.factors, word) for g in groups):
+            if word in ENVIRONMENT or not any(_factor(g.factors, word) for g in groups):
                 return (
                     f"{word!r} does not vary among configurations with the same environment and"
                     f" stopping rule; what varies: {', '.join(varied) or 'nothing'}"

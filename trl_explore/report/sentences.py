@@ -101,6 +101,9 @@ def _block(
     second = rest[0]
     pair = next(c for c in comparisons if {c.a, c.b} == {best, second})
     fewer = interval(pair.difference if pair.a == second else negated(pair.difference))
+    if means[best] == means[second]:
+        alike = some([words[n] for n in means if means[n] == means[best]])
+        return f"{alike} have the same mean, {means[best]:,.0f} iterations (difference {fewer})"
     last = f", and {words[rest[-1]]} {means[rest[-1]]:,.0f}" if len(rest) > 1 else ""
     if not equals:
         return (

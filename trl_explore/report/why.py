@@ -1,4 +1,4 @@
-"""The answer to *why* in sentences and tables: acting, bias, data."""
+"""The section *Why* in sentences and tables: the parts of a difference by acting, bias, data."""
 
 from __future__ import annotations
 
@@ -287,7 +287,7 @@ def _quantities(found: Sequence[Decomposition]) -> Table:
         Column("gap", "difference", of("gap", interval), True),
         Column("assumed", "bias, added", of("assumed", percent), True),
         Column("corrected", "bias, removed", of("corrected", percent), True),
-        Column("bias", "bias, mean of both", of("bias", percent), True),
+        Column("bias", "bias, mean of these", of("bias", percent), True),
         Column("data", "data", of("data", interval), True),
         Column("p_data", "p of data (Holm)", of("p_data", p_value), True),
         Column("n", "trials", of("n", "{:,}".format), True),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from trl_explore.checks import first_line
-from trl_explore.show.episodes import Episode, replayed
+from trl_explore.show.playing import Episode, replayed
 
 WIDTH, GAP = 300, 14
 """Width of a panel and of the space around it [px]."""

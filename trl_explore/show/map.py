@@ -24,10 +24,10 @@ from trl_explore.jobs.columns import EVALUATIONS, ResultsError
 from trl_explore.jobs.reading import find_jobs, read_job
 from trl_explore.jobs.records import read_curves, read_weights
 from trl_explore.names import option_of, strategy_label
-from trl_explore.show.episodes import Episode, episode_of, replayed
+from trl_explore.show.playing import Episode, episode_of, replayed
 from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import Estimate, pass_rate
-from trl_explore.statistics.learning import schedule
+from trl_explore.statistics.evaluations import schedule
 from trl_explore.statistics.means import mean_interval
 from trl_explore.statistics.outcomes import MEASURES, Outcomes, convergence_times, judged
 from trl_explore.statistics.samples import Sample

@@ -7,7 +7,7 @@
 ``survival``     right-censored times: Kaplan-Meier, median, log-rank
 ``pairing``      pairs by seed and trial, pooling, shared trials
 ``summary``      all estimates for one configuration
-``learning``     when a trial has learned: the evaluations and their rule
+``evaluations``  when a trial is evaluated, and when it has learned
 ``decomposition``  the parts of a difference: acting, bias, data
 ``comparisons``  differences of two configurations, with Holm's correction over many pairs
 ``sequential``   trials added until all pairs are decided, with the error held

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, count
 from math import inf
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import LEVEL, Estimate, flat
-from trl_explore.statistics.means import MeanDifference, mean_difference
+from trl_explore.statistics.means import MeanDifference, least_p, mean_difference
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import check_comparable, refuse_shared
 from trl_explore.statistics.samples import Sample, common_trials
@@ -124,6 +124,20 @@ class Comparison:
     def row(self) -> dict[str, Any]:
         """Flat dictionary for a table; each estimate as ``x``, ``x_low``, ``x_high``."""
         return flat(vars(self)) | {"winner": self.winner, "same": self.same}
+
+
+def too_few(comparisons: Sequence[Comparison], *, level: float = LEVEL) -> int | None:
+    """The fewest trials of each configuration with which any pair of a table can be significant.
+
+    None if some pair can be, or there is none. Holm's first step compares with (1 - level) / pairs.
+    """
+    if not comparisons:
+        return None
+    alpha = (1.0 - level) / len(comparisons)
+    designs = {c.design == "paired" for c in comparisons}
+    if any(least_p(c.n_a, c.n_b, paired=c.design == "paired") <= alpha for c in comparisons):
+        return None
+    return next(n for n in count(2) if any(least_p(n, n, paired=d) <= alpha for d in designs))
 
 
 def compare(

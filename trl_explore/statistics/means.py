@@ -228,10 +228,10 @@ def mean_difference(a: Sample, b: Sample, *, level: float = LEVEL) -> MeanDiffer
         return MeanDifference(nothing, 1.0, n, paired, nan, nan, nan, lambda level: nothing)
     first, second = distances(a), distances(b)
     r, phi = (_correlation(a, b), _phi(a, b)) if paired else (0.0, 0.0)
-    least_p = 2.0 ** (1 - n) if paired else _fewest_relabelled(len(x), len(y))
+    floor = least_p(len(x), len(y), paired=paired)
 
     def bounds(alpha: float) -> tuple[float, float]:
-        if alpha < least_p:
+        if alpha < floor:
             return -inf, inf
         p, q = first(alpha), second(alpha)
         spread = _combined(p.spread, q.spread, r)
@@ -249,7 +249,7 @@ def mean_difference(a: Sample, b: Sample, *, level: float = LEVEL) -> MeanDiffer
     if differences is not None and np.ptp(x) > 0 and np.ptp(y) > 0:
         correlation = float(np.corrcoef(x, y)[0, 1])
         ratio = float(differences.var(ddof=1) / (x.var(ddof=1) + y.var(ddof=1)))
-    p = _p_value(value, bounds, least_p)
+    p = _p_value(value, bounds, floor)
     return MeanDifference(at(level), p, n, paired, sd, correlation, ratio, at)
 
 
@@ -302,5 +302,14 @@ def _phi(x: Sample, y: Sample) -> float:
     return 0.0 if several else max(float(product) - n / 2.0, 0.0) / size
 
 
-def _fewest_relabelled(n_a: int, n_b: int) -> float:
+def least_p(n_a: int, n_b: int, *, paired: bool) -> float:
+    """The smallest p of a two-sided test that assumes nothing of the distribution.
+
+    2 / 2ⁿ for n pairs; 2 over the number of relabellings of independent trials.
+
+    >>> least_p(3, 3, paired=True), least_p(3, 3, paired=False)
+    (0.25, 0.1)
+    """
+    if paired:
+        return 2.0 ** (1 - n_a)
     return 2.0 / comb(n_a + n_b, n_a) if n_a + n_b <= COUNTED else 0.0

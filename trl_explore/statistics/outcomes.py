@@ -48,7 +48,7 @@ class Outcomes:
             ``stopped``, by the rule of the other measure.
         passed: whether the mean of a full window of training scores ever exceeded the threshold.
         iterations_to_pass, frames_to_pass: until then, or all that were trained.
-        learned: whether the trial has learned (see ``statistics.learning``).
+        learned: whether the trial has learned (see ``statistics.evaluations``).
         iterations_to_learn: the iteration of the evaluation at which it had learned (0: before its
             first update), or of the last one.
         frames_to_learn: training frames until then.

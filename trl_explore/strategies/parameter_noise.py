@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.func import functional_call
 
 from trl_explore.checks import check_number
-from trl_explore.numerics.score import lane_sum
+from trl_explore.numerics.layers import lane_sum
 from trl_explore.numerics.streams import Stream, generator
 from trl_explore.strategies.discrete import Options
 from trl_explore.strategies.frames import FirstFrames

@@ -1,10 +1,10 @@
 """The statements of the thesis, and the test that decides each one.
 
-``study``   access to the data of the experiments
-``rules``   verdicts from intervals and tests
-``shares``  decisions on shares of trials; ``means`` on means and quantiles
-``claims``  the table of statements; each is also decided for what was learned
-``why``     which statements remain true when the gradient is corrected
+``study``       access to the data of the experiments
+``rules``       verdicts from intervals and tests
+``shares``      decisions on shares of trials; ``means`` on means and quantiles
+``claims``      the table of statements; each is also decided for what was learned
+``reexamined``  which statements remain true when the gradient is corrected
 
 To add a claim, add an entry to ``claims`` (and a decision function if none fits). Each verdict has
 the confidence level of the study, without correction across claims: among about thirty claims at

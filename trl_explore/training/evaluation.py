@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from trl_explore.checks import check_integer
 from trl_explore.collectors import EpisodeCollector
-from trl_explore.statistics.learning import (
+from trl_explore.statistics.evaluations import (
     AUTO,
     FINAL_EPISODES,
     LEARNED,
@@ -29,7 +29,7 @@ from trl_explore.strategies import (
     Softmax,
     Strategy,
 )
-from trl_explore.training.episodes import flatten, unflatten
+from trl_explore.training.ragged import flatten, unflatten
 
 SCHEDULED, CONFIRMATION, FINAL = range(3)
 """Indices into ``learning.PURPOSES``."""
@@ -53,9 +53,9 @@ class Evaluator:
 
     Scheduled evaluations play ``episodes`` episodes of every active trial. If their mean exceeds
     the threshold and the trial has not learned yet, fresh episodes must confirm it
-    (``statistics.learning.decide``). At the end, ``FINAL_EPISODES`` episodes of every trial's final
-    policy give its learned score; if it has not learned and no evaluation was due when it stopped,
-    they are its last evaluation.
+    (``statistics.evaluations.decide``). At the end, ``FINAL_EPISODES`` episodes of every trial's
+    final policy give its learned score; if it has not learned and no evaluation was due when it
+    stopped, they are its last evaluation.
     Iteration 0 is evaluated, but cannot show that a trial has learned.
 
     Every episode has its own stream, from seed, trial, purpose, iteration and its index, so that no

@@ -15,7 +15,7 @@ from trl_explore.checks import check_integer, check_number
 from trl_explore.numerics.compiled import arrays
 from trl_explore.numerics.compiled.arrays import borrow
 from trl_explore.numerics.compiled.cache import compiled
-from trl_explore.training.episodes import flatten, unflatten
+from trl_explore.training.ragged import flatten, unflatten
 
 STATUSES = np.array(["active", "converged", "capped", "diverged"])
 ACTIVE, CONVERGED, CAPPED, DIVERGED = range(4)

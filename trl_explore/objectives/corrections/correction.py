@@ -14,7 +14,7 @@ from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
 from trl_explore.checks import check_flag, check_number, settle
-from trl_explore.numerics.score import lane_sum
+from trl_explore.numerics.layers import lane_sum
 from trl_explore.objectives.episodes import Episodes
 from trl_explore.policies.actor import frame_log_prob
 from trl_explore.strategies import BaseStrategy

@@ -33,7 +33,7 @@ def task_figures(task: Task, id: str, looks: Looks) -> list[Picture]:
          f" are censored where they ended.{bands}", _draw_survival),
         ("profile", "Performance profiles",
          "Share of runs with a final score above the value on the axis; higher is better."
-         f"{bands}", _draw_profile),
+         f"{bands.replace('step', 'score')}", _draw_profile),
     ]  # fmt: skip
     if task.threshold is None:
         del drawn[1]

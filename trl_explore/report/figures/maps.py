@@ -17,7 +17,7 @@ from trl_explore.report.figures.axes import NAMED, Kind, each, new_figure, numbe
 from trl_explore.report.figures.axes import plane as is_plane
 from trl_explore.report.style import INK, MAP, MAP_INKS, MUTED, WIDTH, contrast
 from trl_explore.statistics.summary import Summary
-from trl_explore.training.columns import PLANES
+from trl_explore.training.quantities import PLANES
 
 
 def plot_plane(

@@ -245,7 +245,7 @@ def _draw_iterations(e: GroupEvidence) -> Figure:
 def _iterations_caption(e: GroupEvidence) -> str:
     return (
         f"Hollow points: trials stopped at the cap of {e.group.cap:,} iterations. They"
-        " would have needed more iterations, or would never have passed."
+        f" would have needed more iterations, or would never have {e.group.did}."
         f" Medians{by(e)}: {each(e, _median)}."
     )
 

@@ -1,4 +1,4 @@
-"""The sum whose gradient is the policy gradient; in one pass for a linear softmax policy."""
+"""The surrogate objective Σ A log π of REINFORCE; in one pass for a linear softmax policy."""
 
 from __future__ import annotations
 
@@ -12,30 +12,12 @@ from torch.autograd.function import once_differentiable
 
 from trl_explore.numerics.densities import categorical_log_prob
 from trl_explore.numerics.dispatch import check_frames, compiled, serves
-from trl_explore.numerics.layers import lane_linear
+from trl_explore.numerics.layers import lane_linear, lane_sum
 
 NOTHING = np.zeros(0, dtype=np.bool_)
 
 
-def lane_sum(values: Tensor, trial: Tensor, trials: int) -> Tensor:
-    """S_k = Σ_{i: trial_i = k} values_i, summed in the order of the frames.
-
-    Args:
-        values: [frames].
-        trial: [frames] int64 in [0, trials).
-        trials: the number of sums.
-
-    Returns:
-        [trials].
-
-    Example:
-        >>> lane_sum(torch.tensor([1.0, 2.0, 3.0]), torch.tensor([0, 0, 2]), 3).tolist()
-        [3.0, 0.0, 3.0]
-    """
-    return values.new_zeros(trials).index_add(0, trial, values)
-
-
-def linear_softmax_score(
+def linear_softmax_surrogate(
     observation: Tensor, weight: Tensor, action: Tensor, advantage: Tensor, trial: Tensor
 ) -> Tensor:
     """S_k = Σ_{i: trial_i = k} A_i log softmax(W_k x_i)_{a_i}.
@@ -60,26 +42,26 @@ def linear_softmax_score(
     Example:
         >>> x, w = torch.ones(3, 1), torch.zeros(2, 2, 1)
         >>> action, trial = torch.tensor([0, 1, 1]), torch.tensor([0, 0, 1])
-        >>> score = linear_softmax_score(x, w, action, torch.ones(3), trial)
-        >>> (score / torch.tensor(0.5).log()).tolist()
+        >>> total = linear_softmax_surrogate(x, w, action, torch.ones(3), trial)
+        >>> (total / torch.tensor(0.5).log()).tolist()
         [2.0, 1.0]
     """
     if not formula_serves(observation, weight, advantage):
         _check(observation, weight, action, advantage, trial)
-        return plain_linear_softmax_score(observation, weight, action, advantage, trial)
-    score: Any = _LinearSoftmaxScore.apply(observation, weight, action, advantage, trial)
-    return score
+        return plain_linear_softmax_surrogate(observation, weight, action, advantage, trial)
+    total: Any = _LinearSoftmaxSurrogate.apply(observation, weight, action, advantage, trial)
+    return total
 
 
-def plain_linear_softmax_score(
+def plain_linear_softmax_surrogate(
     observation: Tensor, weight: Tensor, action: Tensor, advantage: Tensor, trial: Tensor
 ) -> Tensor:
-    """``linear_softmax_score`` by differentiable operations, for any device and dtype."""
+    """``linear_softmax_surrogate`` by differentiable operations, for any device and dtype."""
     logits = lane_linear(observation, weight, trial)
     return lane_sum(categorical_log_prob(logits, action) * advantage, trial, len(weight))
 
 
-class _LinearSoftmaxScore(torch.autograd.Function):
+class _LinearSoftmaxSurrogate(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any,
@@ -89,8 +71,8 @@ class _LinearSoftmaxScore(torch.autograd.Function):
         advantage: Tensor,
         trial: Tensor,
     ) -> Tensor:
-        score, ctx.gradient = linear_softmax_gradient(observation, weight, action, advantage, trial)
-        return score
+        total, ctx.gradient = linear_softmax_gradient(observation, weight, action, advantage, trial)
+        return total
 
     @staticmethod
     @once_differentiable
@@ -111,14 +93,14 @@ def linear_softmax_gradient(
     trial: Tensor,
     scale: float = 1.0,
 ) -> tuple[Tensor, Tensor]:
-    """S of ``linear_softmax_score`` and ∂S/∂W [trials, n_actions, n_features], without autograd.
+    """S and ∂S/∂W [trials, n_actions, n_features] of this surrogate, without autograd.
 
     Both are multiplied by ``scale``, in the precision of the weights. Arguments and errors are
-    those of ``linear_softmax_score``. Call it only if ``formula_serves`` is true.
+    those of ``linear_softmax_surrogate``. Call it only if ``formula_serves`` is true.
 
     Example:
         >>> x, w, one = torch.ones(1, 1), torch.zeros(1, 2, 1), torch.tensor([1])
-        >>> score, gradient = linear_softmax_gradient(x, w, one, torch.ones(1), one - 1)
+        >>> total, gradient = linear_softmax_gradient(x, w, one, torch.ones(1), one - 1)
         >>> gradient.tolist()
         [[[-0.5], [0.5]]]
     """
@@ -150,16 +132,16 @@ def _sums(
     ``frames`` has observation, action and advantage. For two actions, reward and done may follow;
     the advantages are then empty.
     """
-    kernels, w = compiled("score"), weight.detach().contiguous().numpy()
+    kernels, w = compiled("surrogate"), weight.detach().contiguous().numpy()
     total, gradient = np.zeros(len(w), w.dtype), np.zeros(w.shape, w.dtype)
     factor = np.array([scale], w.dtype)
     if w.shape[1] == 2:
-        kernel = kernels.score_two(w.shape[2], w.dtype == np.float32)
+        kernel = kernels.surrogate_two(w.shape[2], w.dtype == np.float32)
         frames = [*frames, np.zeros(0, w.dtype), NOTHING] if len(frames) == 3 else frames
         shift = np.array([baseline], w.dtype)
         valid = kernel(*frames, trial, w, factor, shift, gamma, total, gradient)
     else:
-        kernel = kernels.score_kernel(w.shape, frames[0])
+        kernel = kernels.surrogate_kernel(w.shape, frames[0])
         valid = kernel(*frames, trial, w, factor, total, gradient)
     return (torch.from_numpy(total), torch.from_numpy(gradient)) if valid else None
 

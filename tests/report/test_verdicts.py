@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from trl_explore.report import claims
+from trl_explore.report import verdicts
 from trl_explore.report.build import build_report
 from trl_explore.report.evidence import gather
 from trl_explore.report.loading import load
@@ -28,7 +28,7 @@ def html(layouts, tmp_path_factory):
 
 def test_the_crossed_table_has_the_numbers_of_the_trials(evidence):
     part = next(p for p in evidence.groups if p.group.experiment == "corrections")
-    table = claims.crossed_table(part)
+    table = verdicts.crossed_table(part)
     rows = list(csv.DictReader(io.StringIO(table.to_csv())))
     assert [r["row"] for r in rows] == ["argmax", "ε-greedy", "softmax"]
     by_name = {c.name: c for c in part.group.configurations}
@@ -71,12 +71,12 @@ def test_nothing_is_said_of_a_distance_that_was_not_recorded(tmp_path, make_job)
 
 
 def test_conclusions_show_both_verdicts(evidence):
-    table = claims.conclusions_table(evidence.reexamined)
+    table = verdicts.conclusions_table(evidence.reexamined)
     assert len(table.records) == 10
     record = next(r for r in table.records if r["id"] == "outlook.acting_temperature_improves")
     assert record["outcome"] == "not measured"
     for record in table.records:
-        assert record["outcome"] in claims.VERDICTS
+        assert record["outcome"] in verdicts.VERDICTS
         assert record["uncorrected_evidence"]
 
 

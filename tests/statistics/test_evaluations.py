@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trl_explore.statistics.learning import (
+from trl_explore.statistics.evaluations import (
     LEARNED,
     NOT_NOW,
     UNDECIDED,

@@ -10,7 +10,7 @@ from trl_explore.report.results_tables import crossed_table
 from trl_explore.report.tables import Column, Record, Table
 from trl_explore.statistics.power import trials_text
 from trl_explore.thesis import Checked
-from trl_explore.thesis.why import Reexamined
+from trl_explore.thesis.reexamined import Reexamined
 
 VERDICTS: Mapping[str, tuple[str, str]] = {
     "holds": ("hold", "holds"),

@@ -1,4 +1,4 @@
-"""Episodes in flat columns, as a checkpoint keeps them."""
+"""Arrays of different lengths in flat columns, as a checkpoint keeps them."""
 
 from __future__ import annotations
 

@@ -3,8 +3,9 @@ import math
 import pytest
 import torch
 
-from trl_explore.numerics.compiled import score
-from trl_explore.numerics.score import lane_sum, linear_softmax_gradient, linear_softmax_score
+from trl_explore.numerics.compiled import surrogate
+from trl_explore.numerics.layers import lane_sum
+from trl_explore.numerics.surrogate import linear_softmax_gradient, linear_softmax_surrogate
 
 
 def plain(observation, weight, action, advantage, trial):
@@ -45,7 +46,7 @@ def test_by_hand(n_actions):
     action, trial = torch.tensor([1, 0, 1]), torch.tensor([0, 0, 1])
     advantage = torch.tensor([2.0, 3.0, 5.0])
     value, gradient = value_and_gradient(
-        linear_softmax_score, torch.ones(3, 1), weight, action, advantage, trial
+        linear_softmax_surrogate, torch.ones(3, 1), weight, action, advantage, trial
     )
     expected = [2 * math.log(0.75) + 3 * math.log(0.25), 5 * math.log(0.75)]
     torch.testing.assert_close(value, torch.tensor(expected))
@@ -62,7 +63,7 @@ def test_value_and_gradient_are_those_of_the_formula(n_actions, dtype):
     given = [x.to(dtype) if x.is_floating_point() else x for x in given]
     tolerance = 1e-4 if dtype == torch.float32 else 1e-12
     for observation in (given[0], given[0].clone().requires_grad_()):  # compiled, plain
-        found = value_and_gradient(linear_softmax_score, observation, *given[1:])
+        found = value_and_gradient(linear_softmax_surrogate, observation, *given[1:])
         for ours, theirs in zip(found, expected, strict=True):
             assert ours.dtype == dtype
             torch.testing.assert_close(ours.double(), theirs, rtol=tolerance, atol=tolerance)
@@ -72,7 +73,7 @@ def test_value_and_gradient_are_those_of_the_formula(n_actions, dtype):
 def test_gradcheck(n_actions):
     observation, weight, action, advantage, trial = problem(frames=8, n_actions=n_actions)
     assert torch.autograd.gradcheck(
-        lambda w: linear_softmax_score(observation, w, action, advantage, trial),
+        lambda w: linear_softmax_surrogate(observation, w, action, advantage, trial),
         weight.requires_grad_(),
     )
 
@@ -81,7 +82,7 @@ def test_advantages_of_another_dtype():
     given = list(problem(dtype=torch.float32))
     expected = value_and_gradient(plain, *given)
     given[3] = given[3].double()
-    found = value_and_gradient(linear_softmax_score, *given)
+    found = value_and_gradient(linear_softmax_surrogate, *given)
     torch.testing.assert_close(found[0].float(), expected[0], rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(found[1], expected[1], rtol=1e-4, atol=1e-4)
 
@@ -93,7 +94,7 @@ def test_large_logits_neither_overflow_nor_vanish(n_actions, scale):
     weight[0, 0] = scale
     trial = torch.zeros(2, dtype=torch.int64)
     value, gradient = value_and_gradient(
-        linear_softmax_score,
+        linear_softmax_surrogate,
         torch.ones(2, 1),
         weight,
         torch.tensor([0, 1]),
@@ -108,7 +109,7 @@ def test_large_logits_neither_overflow_nor_vanish(n_actions, scale):
 def test_nan_stays_in_its_trial(n_actions):
     given = problem(n_actions=n_actions)
     given[1][2, 1] = torch.nan
-    value, gradient = value_and_gradient(linear_softmax_score, *given)
+    value, gradient = value_and_gradient(linear_softmax_surrogate, *given)
     assert value.isnan().tolist() == [False, False, True, False]
     assert gradient.flatten(1).isnan().any(-1).tolist() == [False, False, True, False]
 
@@ -119,20 +120,24 @@ def test_out_of_range(n_actions, action, trial):
     observation, weight, actions, advantage, trials = problem(n_actions=n_actions)
     actions[7], trials[7] = action, trial
     with pytest.raises(IndexError, match=r"action.*\[0, .\).*trial.*\[0, 4\)"):
-        linear_softmax_score(observation, weight, actions, advantage, trials)
+        linear_softmax_surrogate(observation, weight, actions, advantage, trials)
 
 
 @pytest.mark.parametrize("n_actions", [2, 3])
 def test_a_trial_does_not_depend_on_its_neighbours(n_actions):
     given = problem(frames=600, trials=30, n_actions=n_actions, dtype=torch.float32)
     observation, weight, action, advantage, trial = given
-    together = linear_softmax_score(observation, weight.requires_grad_(), action, advantage, trial)
+    together = linear_softmax_surrogate(
+        observation, weight.requires_grad_(), action, advantage, trial
+    )
     (gradient,) = torch.autograd.grad(together.sum(), weight)
     for k in range(30):
         rows = trial == k
         own = weight[[k]].detach().requires_grad_()
         zero = torch.zeros(int(rows.sum()), dtype=torch.int64)
-        alone = linear_softmax_score(observation[rows], own, action[rows], advantage[rows], zero)
+        alone = linear_softmax_surrogate(
+            observation[rows], own, action[rows], advantage[rows], zero
+        )
         assert torch.equal(alone[0], together[k])
         assert torch.equal(torch.autograd.grad(alone.sum(), own)[0][0], gradient[k])
 
@@ -145,9 +150,9 @@ def test_passing_over_zeros_changes_no_bit(sparse, dtype, monkeypatch):
         state = torch.randint(16, (600,), generator=torch.Generator().manual_seed(1))
         given[0] = torch.nn.functional.one_hot(state, 16).to(dtype)
     results = []
-    for kernel in map(score.score_many, (False, True)):
-        monkeypatch.setattr(score, "score_kernel", lambda *_, kernel=kernel: kernel)
-        results.append(value_and_gradient(linear_softmax_score, *given))
+    for kernel in map(surrogate.surrogate_many, (False, True)):
+        monkeypatch.setattr(surrogate, "surrogate_kernel", lambda *_, kernel=kernel: kernel)
+        results.append(value_and_gradient(linear_softmax_surrogate, *given))
     for dense, passed_over in zip(*results, strict=True):
         assert dense.abs().min() > 0
         assert torch.equal(dense, passed_over)
@@ -155,10 +160,10 @@ def test_passing_over_zeros_changes_no_bit(sparse, dtype, monkeypatch):
 
 def test_which_kernel_serves():
     one_hot, dense = torch.eye(16).numpy(), torch.ones(3, 16).numpy()
-    assert score.score_kernel((5, 4, 16), one_hot) is score.score_many(True)
-    assert score.score_kernel((5, 4, 16), dense) is score.score_many(False)
-    assert score.score_kernel((5, 4, 4), one_hot[:, :4]) is score.score_many(False)
-    assert score.score_kernel((5, 4, 16), dense[:0]) is score.score_many(False)
+    assert surrogate.surrogate_kernel((5, 4, 16), one_hot) is surrogate.surrogate_many(True)
+    assert surrogate.surrogate_kernel((5, 4, 16), dense) is surrogate.surrogate_many(False)
+    assert surrogate.surrogate_kernel((5, 4, 4), one_hot[:, :4]) is surrogate.surrogate_many(False)
+    assert surrogate.surrogate_kernel((5, 4, 16), dense[:0]) is surrogate.surrogate_many(False)
 
 
 @pytest.mark.parametrize(("action", "trial"), [(-1, 0), (9, 0), (0, -1), (0, 4)])
@@ -167,11 +172,11 @@ def test_out_of_range_beside_zeros(action, trial):
     trials = torch.arange(16) // 4
     actions[7], trials[7] = action, trial
     with pytest.raises(IndexError, match="action"):
-        linear_softmax_score(observation, torch.ones(4, 3, 16), actions, torch.ones(16), trials)
+        linear_softmax_surrogate(observation, torch.ones(4, 3, 16), actions, torch.ones(16), trials)
 
 
 def test_no_frames():
-    value, gradient = value_and_gradient(linear_softmax_score, *(problem(frames=0)))
+    value, gradient = value_and_gradient(linear_softmax_surrogate, *(problem(frames=0)))
     assert value.tolist() == [0] * 4
     assert not gradient.any()
 
@@ -185,7 +190,7 @@ def test_shapes_that_do_not_fit(n_actions, entry):
     given = list(problem(frames=6, n_actions=n_actions))
     given[entry] = given[entry][:-1]
     with pytest.raises((ValueError, RuntimeError, IndexError)):
-        linear_softmax_score(*given)
+        linear_softmax_surrogate(*given)
 
 
 @pytest.mark.parametrize("n_actions", [2, 3])
@@ -194,7 +199,7 @@ def test_features_that_do_not_fit(n_actions, n_features):
     given = list(problem(frames=6, n_actions=n_actions))
     given[0] = torch.ones(9, n_features, dtype=torch.float64)[:6]
     with pytest.raises((ValueError, RuntimeError, IndexError)):
-        linear_softmax_score(*given)
+        linear_softmax_surrogate(*given)
 
 
 @pytest.mark.parametrize("n_actions", [2, 3])
@@ -205,7 +210,7 @@ def test_sums_of_many_frames_are_those_in_double(n_actions, n_features):
     given = problem(sum(lengths), len(lengths), n_actions, n_features, torch.float32)
     given = [given[0], 0.3 * given[1], given[2], 20 + 5 * given[3]]
     trial = torch.repeat_interleave(torch.arange(len(lengths)), torch.tensor(lengths))
-    value, gradient = value_and_gradient(linear_softmax_score, *given, trial)
+    value, gradient = value_and_gradient(linear_softmax_surrogate, *given, trial)
     exact = [x.double() if x.is_floating_point() else x for x in given]
     logits = (exact[1][trial] @ exact[0].unsqueeze(-1)).squeeze(-1)
     log_prob = logits.log_softmax(-1).gather(1, exact[2].unsqueeze(1)).squeeze(1)

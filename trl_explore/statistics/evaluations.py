@@ -1,4 +1,4 @@
-"""When a trial has learned: the evaluations, and the rule that looks at them many times.
+"""When a trial is evaluated, and when it has learned: the rule looks at it many times.
 
 Evaluations play the policy without its exploration strategy, on fresh episodes. A trial that is
 looked at forty times has a good chance of one lucky mean, so a mean above the threshold is only a

@@ -1,4 +1,4 @@
-"""The score of a linear softmax policy and its gradient, compiled; see ``numerics.score``.
+"""The surrogate of a linear softmax policy and its gradient, compiled: ``numerics.surrogate``.
 
 The kernels expect trials in ascending order, so that the frames of each are contiguous, and write S
 and its gradient for the trials that have frames. They return False if the trials are not in
@@ -30,14 +30,14 @@ BLOCK = 256
 """The number of frames of a trial that an operation processes before the next operation."""
 
 
-def score_kernel(shape: tuple[int, ...], observation: NDArray[Any]) -> Callable[..., bool]:
-    """``score_many`` for weights of a shape, chosen by the first observation [n_features].
+def surrogate_kernel(shape: tuple[int, ...], observation: NDArray[Any]) -> Callable[..., bool]:
+    """``surrogate_many`` for weights of a shape, chosen by the first observation [n_features].
 
     If the weights are finite, the choice changes no bit; if they are not, skipping zeros leaves out
     0 times infinity.
     """
     present = np.count_nonzero(observation[0]) if len(observation) else shape[2]
-    return score_many(shape[2] >= WIDE and present <= SPARSE)
+    return surrogate_many(shape[2] >= WIDE and present <= SPARSE)
 
 
 @kernel_function
@@ -71,10 +71,10 @@ def _exponentials(probs, chosen, zero):
 
 
 @lru_cache(maxsize=2)
-def score_many(  # noqa: C901 - the loops of one compiled function
+def surrogate_many(  # noqa: C901 - the loops of one compiled function
     sparse: bool,
 ) -> Callable[..., bool]:
-    """Any number of actions, frame by frame; twin: ``score.plain_linear_softmax_score``.
+    """Any number of actions, frame by frame; twin: ``surrogate.plain_linear_softmax_surrogate``.
 
     Args:
         sparse: whether to skip the zeros of the observations.
@@ -130,10 +130,10 @@ def score_many(  # noqa: C901 - the loops of one compiled function
 
 
 @lru_cache(maxsize=32)
-def score_two(  # noqa: C901 - small functions that close over the number of features
+def surrogate_two(  # noqa: C901 - small functions that close over the number of features
     n_features: int, single: bool
 ) -> Callable[..., bool]:
-    """The score for two actions, in blocks of frames; twin: ``score.plain_linear_softmax_score``.
+    """S for two actions, in blocks of frames; twin: ``surrogate.plain_linear_softmax_surrogate``.
 
     With d = logit of the other action − logit of the chosen one, log π = −log(1 + e^d).
 

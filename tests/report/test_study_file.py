@@ -10,7 +10,8 @@ from trl_explore.jobs.columns import ResultsError
 from trl_explore.report.build import build_report
 from trl_explore.report.evidence import Evidence, gather
 from trl_explore.report.loading import load
-from trl_explore.report.study import read_study
+from trl_explore.report.methods import paragraph
+from trl_explore.report.study_file import read_study
 from trl_explore.thesis import FAILS, HOLDS, NOT_MEASURED, Claim
 
 FAST = [150 + k for k in range(20)]
@@ -133,6 +134,36 @@ def test_factors_that_change_together_can_be_asked_for_as_one(study):
     group = gather(load(asked.folders), asked).groups[0]
     assert group.answered[0].question.of == "strategy and correction together"
     assert len(group.answered[0].comparisons) == 6
+
+
+def test_a_pair_that_two_questions_ask_for_is_tested_once(study):
+    """Three pairs; the second question repeats one of them in the other order."""
+    pair = "  - [{strategy: softmax, correction: none}, {strategy: softmax, correction: per_step}]"
+    same = "[{strategy: softmax, correction: none}, {strategy: epsilon_greedy, correction: none}]"
+    study.write_text(STUDY.replace(pair, f"{pair}\n  - {same}"), encoding="utf-8")
+    (group,) = ask(study).groups
+    assert [len(a.comparisons) for a in group.answered] == [2, 1, 1]
+    assert len(group.comparisons) == 3
+
+
+def test_an_effect_can_be_asked_for_at_each_environment(tmp_path, make_job):
+    """Each environment is a section of its own, and the methods state its threshold."""
+    for env, threshold in (("CartPole-v1", 195.0), ("Acrobot-v1", -100.0)):
+        for strategy, taken in (("softmax", FAST), ("argmax", SLOW)):
+            make_job(tmp_path / "train", f"{env},{strategy}", taken, strategy=strategy, env=env,
+                     threshold=threshold)  # fmt: skip
+    path = tmp_path / "mine.yaml"
+    text = "configurations: [train/*]\ncompare: [{effect_of: strategy, at_each: environment}]"
+    path.write_text(text, encoding="utf-8")
+    found = ask(path)
+    assert [len(g.answered) for g in found.groups] == [1, 1]
+    methods = paragraph(found)
+    assert "exceeded -100 on Acrobot-v1 (cap: 1,000 iterations) or its mean" in methods
+    assert "exceeded 195 on CartPole-v1" in methods
+    assert "The 2 comparisons were corrected" in methods
+    path.write_text(text.replace("effect_of: strategy", "effect_of: env"), encoding="utf-8")
+    with pytest.raises(ResultsError, match="'env' does not vary among configurations with the"):
+        ask(path)
 
 
 def test_every_claim_of_a_study_has_a_definition(study):
