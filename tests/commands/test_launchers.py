@@ -147,13 +147,13 @@ def finish(folder: Path) -> None:
 
 def collect(sweep: sweeping.Sweep, launch) -> list[sweeping.Ended]:
     def start() -> None:
-        sweeping._State.sweep = sweep
+        sweeping.Process.sweep = sweep
         launch()
 
     try:
         return sweeping.collect(start)
     finally:
-        sweeping._State.leads = False
+        sweeping.Process.leads = False
 
 
 def test_a_launcher_that_breaks_loses_no_finished_job(tmp_path, capsys):
@@ -195,7 +195,7 @@ def test_what_is_named_twice_is_repeated(tmp_path):
     sweep, seen = sweep_of(tmp_path, *"aba"), []
     for number in (0, 1, 2, 3, "???"):
         sweep.on_job_start(OmegaConf.create({"hydra": {"job": {"num": number}}}))
-        seen.append(sweeping.is_repeated())
+        seen.append(sweeping.Process.repeated)
     assert seen == [False, False, True, False, False]
 
 
@@ -258,7 +258,7 @@ def test_progress_is_quiet_in_a_process_among_others(monkeypatch):
 
 def test_a_worker_has_no_leader():
     """What says who leads does not travel: a fresh interpreter that imports it does not lead."""
-    code = "import sys, trl_explore.config as c; print(c.is_worker(), *sys.modules)"
+    code = "import sys, trl_explore.config.sweeping as s; print(not s.Process.leads, *sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     worker, *modules = done.stdout.split()
     assert worker == "True"

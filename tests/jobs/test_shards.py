@@ -64,8 +64,7 @@ def files(config, shards: Shards, folder: Path) -> dict[str, bytes]:
     values = {key: value for key, value in values.items() if key != "hydra"}
     results.write_job(
         folder, shards.trials(), shards.weights(), config=values, experiment="train", strategy="x",
-        collector="x", seconds=1.0, evaluations=shards.evaluations(),
-        learned=shards.learned(), diagnostics=shards.diagnostics(), kept=shards.kept_weights(),
+        collector="x", seconds=1.0, **shards.recorded(),
     )  # fmt: skip
     found = {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*.*") if p.is_file()}
     del found["run.json"]  # it has the hashes of the others

@@ -104,7 +104,7 @@ def test_the_only_resolvers_are_two_names():
         ("trl_explore.strategies.schedules.ABC", False),
         ("trl_explore.strategies.schedules.Linear.__init__", False),
         ("trl_explore.jobs.writing.clear", False),
-        ("trl_explore.jobs.writing._write_text", False),
+        ("trl_explore.jobs.writing.write_job", False),
         ("torch.optim.lr_scheduler.torch.load", False),
         ("torch.load", False),
         ("os.system", False),

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 from trl_explore.envs import make_env
 from trl_explore.training.quantities import BINS, PLANES
-from trl_explore.training.visits import Visits, joined
+from trl_explore.training.snapshots import Visits
 
 
 def frames(states, trials, n_states=16):
@@ -25,7 +25,7 @@ def test_by_hand():
     visits = lake()
     for states in ([0, 1, 1], [0, 0, 5], [15, 15, 15], [2, 2, 2], [3, 3, 3]):
         visits.record(frames(states, [0, 0, 1]))
-    found = joined([visits])
+    found = Visits.joined([visits])
     assert found is not None
     assert found["iteration"].tolist() == [1, 2, 4, 5]
     assert found["visits"].shape == (4, 4, 4)
@@ -44,7 +44,7 @@ def test_shards_are_one_job():
         second.record(frames([2 * k], [0]))
         if k < 3:
             first.record(frames([k], [0]))
-    found, expected = joined([first, second]), joined([together])
+    found, expected = Visits.joined([first, second]), Visits.joined([together])
     assert found is not None
     assert expected is not None
     for name, values in expected.items():
@@ -58,7 +58,7 @@ def test_its_state_is_saved():
     two.load_state_dict(one.state_dict())
     for visits in (one, two):
         visits.record(frames([9], [1]))
-    found, expected = joined([two]), joined([one])
+    found, expected = Visits.joined([two]), Visits.joined([one])
     assert found is not None
     assert expected is not None
     for name, values in expected.items():
@@ -87,7 +87,7 @@ def test_two_features_across_and_up():
     observation[1, across.index], observation[1, up.index] = across.high + 9, up.low
     observation[2, across.index], observation[2, up.index] = across.low, up.high - 1e-6
     visits.record(TensorDict({"observation": observation, "trial": torch.zeros(3).long()}, [3]))
-    found = joined([visits])
+    found = Visits.joined([visits])
     assert found is not None
     (seen,) = found["visits"]
     assert [*zip(*np.nonzero(seen), strict=True)] == [(0, 31), (16, 16), (31, 0)]
@@ -97,4 +97,4 @@ def test_an_environment_without_states_and_named_features_has_none():
     visits = Visits(make_env("trl_explore/Catch-v0", max_steps=10), 1)
     observation = torch.zeros(2, 50)
     visits.record(TensorDict({"observation": observation, "trial": torch.zeros(2).long()}, [2]))
-    assert joined([visits]) is None
+    assert Visits.joined([visits]) is None

@@ -13,6 +13,7 @@ from contextlib import redirect_stdout
 from pathlib import Path
 
 from trl_explore.commands import train
+from trl_explore.jobs.console import tell
 from trl_explore.jobs.files import ResultsError, write_whole
 
 TASKS = {
@@ -105,10 +106,10 @@ def main() -> int:
         found = read_cells(arguments.jobs, lambda text: print(text, file=sys.stderr))
         write_whole(out, page(found).encode())
     except ResultsError as error:
-        print(f"error: {error}", file=sys.stderr)
+        tell(error)
         return 1
     except OSError as error:
-        print(f"error: cannot write {error.filename}: {error.strerror}", file=sys.stderr)
+        tell(f"cannot write {error.filename}: {error.strerror}")
         return 1
     print(out)
     return 0

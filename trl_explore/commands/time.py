@@ -17,8 +17,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from hydra.errors import HydraException
-from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
 from trl_explore import jobs as results
@@ -111,7 +109,7 @@ def main() -> int:
         if arguments.trials < 1:
             raise ConfigError(f"--trials must be at least 1, got {arguments.trials}")
         run(arguments.folders, arguments.trials, arguments.config_dir)
-    except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
+    except configuration.ERRORS as error:
         tell(configuration.describe(error))
         return 1
     except KeyboardInterrupt:

@@ -7,7 +7,7 @@ import logging
 import os
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from io import TextIOWrapper
@@ -22,7 +22,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
 from trl_explore import jobs as results
-from trl_explore.config import CONF, ConfigError
+from trl_explore.config import CONF, ConfigError, objective, sweeping
+from trl_explore.config.sweeping import Process
 from trl_explore.jobs import signals
 from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
 from trl_explore.jobs.code import changed_code, code_digests
@@ -34,7 +35,6 @@ from trl_explore.jobs.resume import Checkpoints
 from trl_explore.jobs.signals import Interrupted, Interrupts
 
 if TYPE_CHECKING:
-    from trl_explore.jobs.console import Progress
     from trl_explore.jobs.resume import Saver
     from trl_explore.training.record import Trials
 
@@ -49,12 +49,12 @@ def run(config: DictConfig) -> float | list[float] | None:
 
     Returns its objective if the sweeper optimises one; a job that failed has the worst.
     """
-    folder = configuration.current_folder()
-    if configuration.is_repeated():
+    folder = sweeping.current_folder()
+    if Process.repeated:
         with suppress(OSError):
             folder.rmdir()  # created by Hydra
         return None
-    if configuration.is_worker():
+    if not Process.leads:
         begin_worker()
     try:
         try:
@@ -68,36 +68,34 @@ def run(config: DictConfig) -> float | list[float] | None:
         line = configuration.describe(error)
         if not isinstance(error, EXPECTED):
             line = f"{type(error).__name__}: {line}"
-        other = isinstance(
-            error, LockedError
-        )  # the process that holds the lock reports the outcome
-        configuration.end_job(folder, line, record=not other)
+        # The process that holds a lock reports the outcome itself.
+        sweeping.end_job(folder, line, record=not isinstance(error, LockedError))
     except KeyboardInterrupt as error:
-        if not configuration.is_worker():
+        if Process.leads:
             raise
         end_interrupted(folder, error)
     else:
-        configuration.end_job(folder)
-        return configuration.returned(config, folder)
-    return configuration.returned(config, None)
+        sweeping.end_job(folder)
+        return objective.returned(config, folder)
+    return objective.returned(config, None)
 
 
 def end_interrupted(folder: Path, error: KeyboardInterrupt) -> None:
     """End a job of a launcher after a signal; Slurm may be asked to start it again."""
-    configuration.end_job(folder, str(error) or "interrupted", record=False)
-    if str(configuration.current_choices().get("hydra/launcher")).startswith("submitit"):
+    sweeping.end_job(folder, str(error) or "interrupted", record=False)
+    if str(sweeping.current_choices().get("hydra/launcher")).startswith("submitit"):
         try:
             signals.end_in_launcher(error)
         except Exception as refused:
             line = configuration.describe(refused)
-            configuration.end_job(folder, f"{line}; run the same command to resume")
+            sweeping.end_job(folder, f"{line}; run the same command to resume")
 
 
 def begin_worker() -> None:
     """Print only whole lines, because this process shares the terminal with others."""
     from trl_explore.jobs.console import Bar
 
-    if configuration.current_choices().get("hydra/launcher") == "joblib":
+    if sweeping.current_choices().get("hydra/launcher") == "joblib":
         signals.end_with_parent()
     Bar.quiet = True
     for stream in (sys.stdout, sys.stderr):
@@ -107,7 +105,7 @@ def begin_worker() -> None:
 
 def train(config: DictConfig, folder: Path) -> None:
     """Run a job and write its folder, unless the job is already finished."""
-    choices = configuration.current_choices()
+    choices = sweeping.current_choices()
     configuration.check_keys(config, choices)
     configuration.fill_threshold(config)
     values = configuration.resolved(config)
@@ -122,20 +120,14 @@ def train(config: DictConfig, folder: Path) -> None:
             return
         checkpoints = Checkpoints(folder, load=not config.restart)
         if checkpoints.header is not None:
-            check_same(folder, checkpoints.header, values)
+            check_same(folder, checkpoints.header, values, finished=False)
         train_from(config, folder, values, checkpoints, interrupts)
 
 
 def leave_finished(folder: Path, values: dict[str, Any]) -> None:
     """Report that a job is finished, and remove leftovers of a kill at its very end."""
     record = results.read_run(folder)
-    differences = configuration.differences(record["config"], values)
-    differences += changed_code(record.get("code", {}), code_digests(values), own=False)
-    if differences:
-        raise ConfigError(
-            f"{folder} holds a job with another configuration ({'; '.join(differences)}); "
-            "restart=true starts over"
-        )
+    check_same(folder, record, values, finished=True)
     try:
         results.check_files(folder, record, up_to=results.SMALL)
     except ResultsError as error:
@@ -146,15 +138,18 @@ def leave_finished(folder: Path, values: dict[str, Any]) -> None:
     print(f"{folder.name}: already finished, nothing to do (restart=true starts over)")
 
 
-def check_same(folder: Path, header: dict[str, Any], values: dict[str, Any]) -> None:
-    """Refuse to resume from a checkpoint of another configuration or other package versions."""
-    differences = configuration.differences(header["config"], values)
-    differences += configuration.differences(header["versions"], results.versions(), "versions.")
-    differences += changed_code(header.get("code", {}), code_digests(values))
-    if differences:
+def check_same(
+    folder: Path, record: Mapping[str, Any], values: dict[str, Any], *, finished: bool
+) -> None:
+    """Refuse a folder whose job has another configuration or code; unfinished, also versions."""
+    found = configuration.differences(record["config"], values)
+    if not finished:
+        found += configuration.differences(record["versions"], results.versions(), "versions.")
+    found += changed_code(record.get("code", {}), code_digests(values), own=not finished)
+    if found:
         raise ConfigError(
-            f"{folder} holds an unfinished job with another configuration "
-            f"({'; '.join(differences)}); restart=true starts over"
+            f"{folder} holds {'a' if finished else 'an unfinished'} job with another configuration "
+            f"({'; '.join(found)}); restart=true starts over"
         )
 
 
@@ -170,7 +165,7 @@ def train_from(
 
     from trl_explore.jobs.console import Progress
 
-    choices = configuration.current_choices()
+    choices = sweeping.current_choices()
     torch.set_num_threads(1)
     shards = configuration.build_shards(config, checkpoints.sizes)
     header = {"config": values, "versions": results.versions(), "code": code_digests(values)}
@@ -178,11 +173,16 @@ def train_from(
     if checkpoints.header is None:
         checkpoints.clear()
     results.clear(folder)
-    configuration.save_hydra(folder, config)
+    sweeping.save_hydra(folder, config)
     records = [trainer.trials for trainer in shards.trainers]
-    progress = Progress(folder.name, records, place=configuration.place_in_sweep())
+    progress = Progress(folder.name, records, place=Process.place)
+
+    def after_iteration(saver: Saver, trials: Trials) -> None:
+        progress()
+        saver(trials)
+
     for trainer, saver in zip(shards.trainers, checkpoints.savers, strict=True):
-        trainer.on_iteration = partial(after_iteration, progress, saver)
+        trainer.on_iteration = partial(after_iteration, saver)
     try:
         with interrupts.deferred():
             interrupts.check()
@@ -193,17 +193,13 @@ def train_from(
                     folder,
                     trials,
                     shards.weights(),
-                    kept=shards.kept_weights(),
                     config=values,
                     experiment=choices.get("experiment") or "train",
                     strategy=str(choices["strategy"]),
                     collector=type(shards.trainers[0].collector).__name__,
                     seconds=shards.seconds,
                     episodes=config.episodes,
-                    evaluations=shards.evaluations(),
-                    learned=shards.learned(),
-                    diagnostics=shards.diagnostics(),
-                    visits=shards.visits(),
+                    **shards.recorded(),
                 )
     except BaseException:
         if interrupts.pending is not None:
@@ -215,18 +211,10 @@ def train_from(
     finally:
         progress.close()
         shards.close()
-        for trainer in shards.trainers:
-            trainer.on_iteration = (
-                None  # break a reference cycle that keeps the data of each job alive
-            )
+        for trainer in shards.trainers:  # a reference cycle would keep the data of each job alive
+            trainer.on_iteration = None
     checkpoints.clear()
     interrupts.check()
-
-
-def after_iteration(progress: Progress, saver: Saver, trials: Trials) -> None:
-    """Update the progress line, and save a checkpoint if one is due."""
-    progress()
-    saver(trials)
 
 
 def main(action: Callable[[], int] | None = None) -> int:
@@ -305,13 +293,13 @@ def _reported(action: Callable[[], int]) -> int:
         return 1
 
 
-def run_jobs() -> list[configuration.Ended]:
+def run_jobs() -> list[sweeping.Ended]:
     """Run all jobs of the words in ``sys.argv``; return how each ended."""
     signals.raise_on_signals()
     check_flags()
     folder = own_folder()
     start = hydra.main(version_base="1.3", config_path=str(folder), config_name="train")
-    jobs = configuration.collect(start(run))
+    jobs = sweeping.collect(start(run))
     signals.check()
     return jobs
 
@@ -323,7 +311,7 @@ def sweep() -> int:
     failed = [job for job in jobs if job.error]
     if finished:
         show(finished)
-        if text := configuration.best(finished[0].parent):
+        if text := objective.best(finished[0].parent):
             print(text)
     if len(jobs) > 1 and failed:
         print(f"{len(failed)} of {len(jobs)} jobs failed:", file=sys.stderr)

@@ -15,6 +15,7 @@ from trl_explore import config as configuration
 from trl_explore.commands import train
 from trl_explore.commands.settle import run_jobs
 from trl_explore.config import ConfigError
+from trl_explore.config.objective import measured, objective
 from trl_explore.statistics.comparisons import ITERATIONS, SCORE, Measure
 from trl_explore.statistics.outcomes import Outcomes, judged
 
@@ -78,7 +79,7 @@ def _tune(arguments: argparse.Namespace) -> int:
         jobs = run_jobs(["-m", *base, *swept, f"seed={tuning}", f"trials={arguments.trials}",
                      f"output_dir={place / 'tuning'}"])  # fmt: skip
         tried = [(_settings(job, grid), _outcomes(job, arguments.direction)) for job in jobs]
-        scores = [configuration.objective(o, arguments.direction) for _, o in tried]
+        scores = [objective(o, arguments.direction) for _, o in tried]
         best = scores.index((min if arguments.direction == "minimize" else max)(scores))
         setting = [f"{key}={value:g}" for key, value in tried[best][0].items()]
         print(f"{strategy}: {' '.join(setting)} is the best of {len(tried)} settings", flush=True)
@@ -123,5 +124,5 @@ def _outcomes(job: Path, direction: str) -> Outcomes:
 
     outcomes = read_job(job)
     if direction == "minimize":
-        return configuration.measured(outcomes)
+        return measured(outcomes)
     return outcomes if outcomes.learned_score is None else judged(outcomes, "learned")

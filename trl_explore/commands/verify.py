@@ -11,8 +11,6 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from hydra.errors import HydraException
-from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
 from trl_explore import jobs as results
@@ -84,7 +82,7 @@ def main() -> int:
             words = verify(job)
             different |= not words.startswith(SAME)
             print(f"{printable(job.folder.name)}: {words}", flush=True)
-    except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
+    except configuration.ERRORS as error:
         tell(configuration.describe(error))
         return 1
     return 1 if different else 0

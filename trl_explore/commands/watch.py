@@ -1,26 +1,22 @@
 """Watch agents of finished jobs: ``trl-explore watch JOB [JOB ...] [--trial k] [--iteration i]``.
 
 The film shows one episode of one agent of every job, side by side; with several iterations, one for
-each of them. It is an episode of the
-program's own: with the strategy, the training episode that follows the iteration; with --greedy,
-an episode of the evaluation after it.
+each of them. It is an episode of the program's own: with the strategy, the training episode that
+follows the iteration; with --greedy, an episode of the evaluation after it.
 """
 
 from __future__ import annotations
 
 import argparse
 import logging
-import sys
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
-from hydra.errors import HydraException
-from omegaconf.errors import OmegaConfBaseException
-
 from trl_explore import config as configuration
 from trl_explore.config import ConfigError
 from trl_explore.config.composing import RecordedJob, recompose_all
+from trl_explore.jobs.console import tell
 from trl_explore.jobs.reading import read_job
 from trl_explore.report.factors import configuration_labels
 
@@ -101,13 +97,10 @@ def main() -> int:
     except ModuleNotFoundError as error:
         if error.name not in PACKAGES:
             raise
-        print(
-            f"error: {PACKAGES[error.name]} is not installed: pip install 'trl_explore[watch]'",
-            file=sys.stderr,
-        )
+        tell(f"{PACKAGES[error.name]} is not installed: pip install 'trl_explore[watch]'")
         return 1
-    except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
-        print(f"error: {configuration.describe(error)}", file=sys.stderr)
+    except configuration.ERRORS as error:
+        tell(configuration.describe(error))
         return 1
     print("\n".join([*lines, str(out)]))
     return 0

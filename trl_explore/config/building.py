@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any, cast
 
 from hydra.errors import InstantiationException
@@ -71,24 +72,17 @@ def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shar
     Raises:
         ConfigError: if a value is not allowed; nothing has been trained or written.
     """
-    import_torchrl()
+    _prepare(config)
     from trl_explore.training.shards import Shards, partition
 
-    fill_threshold(config)
-    check_values(config)
-    if sizes is None:
-        sizes = partition(config.trials, config.threads)
-        first = _build_trainer(config, slice(0, sizes[0]))
-        trainers = [first]
-        if len(sizes) > 1 and not first.parallel:  # one large shard is faster
-            first.close()
-            sizes = [config.trials]
-            trainers = [_build_trainer(config, slice(0, config.trials), announce=False)]
-    else:
-        trainers = [_build_trainer(config, slice(0, sizes[0]))]
-    for size in sizes[1:]:
-        start = sum(len(trainer.trials) for trainer in trainers)
-        trainers.append(_build_trainer(config, slice(start, start + size), announce=False))
+    chosen = sizes or partition(config.trials, config.threads)
+    trainers = [_build_trainer(config, slice(0, chosen[0]))]
+    if sizes is None and len(chosen) > 1 and not trainers[0].parallel:  # one shard is faster
+        trainers.pop().close()
+        chosen = [config.trials]
+    edges = [0, *accumulate(chosen)]
+    for low, high in list(pairwise(edges))[len(trainers) :]:
+        trainers.append(_build_trainer(config, slice(low, high), announce=False))
     return Shards(trainers)
 
 
@@ -98,10 +92,14 @@ def build_trainer(config: DictConfig, rows: slice | None = None) -> Trainer:
     Raises:
         ConfigError: if a value is not allowed.
     """
+    _prepare(config)
+    return _build_trainer(config, rows or slice(0, config.trials), announce=rows is None)
+
+
+def _prepare(config: DictConfig) -> None:
     import_torchrl()
     fill_threshold(config)
     check_values(config)
-    return _build_trainer(config, rows or slice(0, config.trials), announce=rows is None)
 
 
 def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) -> Trainer:
@@ -113,9 +111,8 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.record import Trials
-    from trl_explore.training.snapshots import Snapshots
+    from trl_explore.training.snapshots import Snapshots, Visits
     from trl_explore.training.trainer import Trainer
-    from trl_explore.training.visits import Visits
 
     size = rows.stop - rows.start
     trials = _build(
@@ -158,10 +155,9 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     if config.diagnostics:
         visits = Visits(env, size)
         diagnostics = Diagnostics(actor, strategy, size, policy.parameters(), visits)
-    evaluator = _evaluator(config, policy, strategy, env, size, streams)
     kept, cap = config.keep_weights, config.max_iterations
     parts = {
-        "evaluator": evaluator,
+        "evaluator": _evaluator(config, env, policy, strategy, size, streams),
         "diagnostics": diagnostics,
         "intrinsic": _build(None, lambda: _intrinsic(config, env, policy, size, streams)),
         "snapshots": _build(None, lambda: Snapshots(policy, kept, cap)) if kept else None,
@@ -193,21 +189,15 @@ def _check_transforms(config: DictConfig, make: Callable[..., Any]) -> None:
     """Reject transforms that mix trials, or fail; each error names the transform."""
     from trl_explore.envs.probing import check_transforms
 
-    nodes = config.env.get("transforms") or []
-
     def build() -> list[Any]:
         return [instantiate(node, _convert_="all") for node in nodes]
 
-    if nodes:
+    if nodes := config.env.get("transforms"):
         _build("env", lambda: check_transforms(build, partial(make, seed=config.seed)))
 
 
 def _check_parts(key: str, nodes: Any) -> None:
-    """Reject wrappers or transforms that are not a list of constructors.
-
-    Raises:
-        ConfigError: naming the key and its form.
-    """
+    """Reject wrappers or transforms that are not a list of constructors."""
     if nodes is None:
         return
     form = f"env.{key}=[{{_target_: {PARTS[key]}, ...}}]"
@@ -234,12 +224,7 @@ def _intrinsic(
 
 
 def _evaluator(
-    config: DictConfig,
-    policy: Any,
-    strategy: Any,
-    env: Any,
-    trials: int,
-    streams: Mapping[str, int],
+    config: DictConfig, env: Any, policy: Any, strategy: Any, size: int, streams: Mapping[str, int]
 ) -> Evaluator | None:
     """Build the evaluator; None if evaluation is off."""
     from tensordict.nn import TensorDictSequential
@@ -261,7 +246,7 @@ def _evaluator(
             return None
     greedy = config.evaluate_policy == "greedy"
     collector = auto_collector(
-        _environment(config)(trials=trials, stream=Stream.EVALUATION, **streams),
+        _environment(config)(trials=size, stream=Stream.EVALUATION, **streams),
         both,
         announce=False,
         exploration_type=ExplorationType.DETERMINISTIC if greedy else ExplorationType.RANDOM,

@@ -27,6 +27,8 @@ from trl_explore.config.files import (
     strategies_of,
 )
 
+ERRORS = (HydraException, OmegaConfBaseException, ValueError, OSError)
+"""The errors of a user, which ``describe`` puts in one line."""
 FLAGS = ("--config-name", "-cn", "--config-dir", "-cd", "--config-path", "-cp", "--package", "-p")
 """Flags of Hydra that are followed by a value."""
 INTEGERS = {

@@ -26,10 +26,9 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.checks import first_line
-from trl_explore.config.awaiting import await_all
 from trl_explore.config.files import ConfigError
 from trl_explore.config.naming import register_resolvers
-from trl_explore.config.planning import plan
+from trl_explore.config.plugins import await_all, plan
 from trl_explore.jobs import sweeps
 from trl_explore.jobs.lock import is_locked
 
@@ -78,7 +77,7 @@ class Sweep(Callback):
 
     def on_multirun_start(self, config: DictConfig, **arguments: Any) -> None:
         """Plan the jobs, and record which ones were requested."""
-        _State.sweep = self
+        Process.sweep = self
         self.missing = _not_installed(config)
         if not self.missing:
             with suppress(Exception):  # Hydra meets the same error and raises it
@@ -93,13 +92,13 @@ class Sweep(Callback):
                     sweep.mkdir(parents=True, exist_ok=True)
                     sweeps.begin_sweep(sweep, names)
                 self.folders = folders
-            await_all(config.hydra.launcher._target_, _State.reasons.append)
+            await_all(config.hydra.launcher._target_, Process.reasons.append)
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **arguments: Any) -> None:
         """Drop the configuration, which Hydra would keep until the sweep ends, and the garbage."""
         job_return.cfg = job_return.hydra_cfg = None
-        if not _State.frozen:
-            _State.frozen = True
+        if not Process.frozen:
+            Process.frozen = True
             gc.freeze()
         gc.collect()
 
@@ -107,18 +106,21 @@ class Sweep(Callback):
         """Record whether the job that starts in this process is a duplicate."""
         number = OmegaConf.select(config, "hydra.job.num", throw_on_missing=False)
         planned = isinstance(number, int) and number < len(self.folders)
-        _State.place = (number, len(self.folders)) if planned else (0, 1)
+        Process.place = (number, len(self.folders)) if planned else (0, 1)
         planned = planned and number not in self.others
-        _State.repeated = planned and self.folders.index(self.folders[number]) < number
+        Process.repeated = planned and self.folders.index(self.folders[number]) < number
 
 
-class _State:
-    """State of this process only; it is not sent to the processes of a launcher."""
+class Process:
+    """What this process knows of its sweep; it is not sent to the processes of a launcher."""
 
     leads = False
-    frozen = False
+    """Whether it started the sweep; if not, a launcher started this process to run jobs."""
     repeated = False
+    """Whether its job is a duplicate in its sweep, as in ``1,1.0``."""
     place: tuple[int, int] = (0, 1)
+    """The number of its job, from 0, and the number of jobs of the sweep."""
+    frozen = False
     sweep: Sweep | None = None
     ended: list[Ended]
     reasons: list[str]
@@ -149,21 +151,6 @@ def _not_installed(config: DictConfig) -> str:
     return ""
 
 
-def is_worker() -> bool:
-    """Whether a launcher started this process to run jobs."""
-    return not _State.leads
-
-
-def place_in_sweep() -> tuple[int, int]:
-    """The number of the job of this process, from 0, and the number of jobs of its sweep."""
-    return _State.place
-
-
-def is_repeated() -> bool:
-    """Whether the job of this process is a duplicate in its sweep, as in ``1,1.0``."""
-    return _State.repeated
-
-
 def end_job(folder: Path, error: str = "", *, record: bool = True) -> None:
     """Record how a job ended, for the process that started it and for ``status``.
 
@@ -184,10 +171,10 @@ def end_job(folder: Path, error: str = "", *, record: bool = True) -> None:
     else:
         sweeps.forget_failure(folder)
     ended = Ended(folder, error)
-    if _State.leads:
+    if Process.leads:
         if error:
             print(f"error: {ended.line if is_multirun() else error}", file=sys.stderr)
-        _State.ended.append(ended)
+        Process.ended.append(ended)
 
 
 def collect(start: Callable[[], object]) -> list[Ended]:
@@ -197,31 +184,32 @@ def collect(start: Callable[[], object]) -> list[Ended]:
         ConfigError: if the chosen launcher is not installed, or no job was run.
         Exception: the exception of Hydra, if the jobs cannot be composed.
     """
-    _State.leads, _State.repeated, _State.sweep = True, False, None
-    _State.ended, _State.reasons, _State.place = [], [], (0, 1)
+    Process.leads, Process.repeated, Process.sweep = True, False, None
+    Process.ended, Process.reasons, Process.place = [], [], (0, 1)
     begun = time.time()
     reason, before, threading.excepthook = CUT, threading.excepthook, _in_thread
     try:
         start()
     except Exception as error:
-        if _State.sweep is not None and _State.sweep.missing:
-            raise ConfigError(_State.sweep.missing) from None
-        if _State.sweep is None or not _State.sweep.folders:
+        if Process.sweep is not None and Process.sweep.missing:
+            raise ConfigError(Process.sweep.missing) from None
+        if Process.sweep is None or not Process.sweep.folders:
             raise
         # The launcher itself failed: a process was killed, or a timeout.
         reason = f"the launcher failed ({type(error).__name__}: {first_line(error)})"
     finally:
         threading.excepthook = before
-        if _State.sweep is not None and _State.sweep.place is not None:
-            for sweep in {_State.sweep.place, *_by_sweep(_State.sweep.folders)}:
-                sweeps.end_sweep(sweep)
-    here = {job.folder.absolute(): job for job in _State.ended}
-    if _State.sweep is None:
-        return _State.ended
-    folders = dict.fromkeys(_State.sweep.folders or [*here, *_since(_State.sweep.place, begun)])
+        sweep = Process.sweep
+        if sweep is not None and sweep.place is not None:
+            for place in {sweep.place, *_by_sweep(sweep.folders)}:
+                sweeps.end_sweep(place)
+    if sweep is None:
+        return Process.ended
+    here = {job.folder.absolute(): job for job in Process.ended}
+    folders = dict.fromkeys(sweep.folders or [*here, *_since(sweep.place, begun)])
     if not folders:
         raise ConfigError("no job was run")
-    reasons = zip(_State.sweep.folders, _State.reasons, strict=False)
+    reasons = zip(sweep.folders, Process.reasons, strict=False)
     lost = {folder: f"{why}; run the same command to resume" for folder, why in reasons if why}
     return [here.get(folder) or _from_files(folder, lost.get(folder, reason)) for folder in folders]
 
@@ -273,10 +261,9 @@ def is_multirun() -> bool:
 
 def save_hydra(folder: Path, config: DictConfig) -> None:
     """Write ``.hydra/`` as Hydra does."""
-    hydra = HydraConfig.instance().cfg
     files = {
         "config.yaml": config,
-        "hydra.yaml": hydra,
+        "hydra.yaml": HydraConfig.instance().cfg,
         "overrides.yaml": HydraConfig.get().overrides.task,
     }
     (folder / ".hydra").mkdir(exist_ok=True)

@@ -7,6 +7,7 @@
     scalars/*.csv           learning curves averaged over the trials (TorchRL's CSVLogger)
     weights.safetensors     the final policy of every trial
     kept_weights.safetensors    its weights along the way (keep_weights=[0,10,50])
+    visits.safetensors      where the trials have been (diagnostics=true)
     run.json                configuration, versions, seed, wall time; written last
 
 In the folder of a sweep:

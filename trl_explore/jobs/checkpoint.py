@@ -29,7 +29,8 @@ from trl_explore.checks import first_line
 from trl_explore.jobs.files import write_whole
 
 FOLDER, SLOTS, HISTORY = "checkpoint", ("a.safetensors", "b.safetensors"), "history.bin"
-DIGEST = hashlib.sha256().digest_size
+START = {"number": 0, "length": 0, "seal": bytes(hashlib.sha256().digest_size).hex()}
+"""Of a checkpoint: its number, and the length and digest of its history; here, before the first."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -191,8 +192,7 @@ class Store:
 
     def __init__(self, job: Path, shard: int = 0) -> None:
         self.folder = job / FOLDER / str(shard)
-        self._number = 0
-        self._length, self._seal = 0, bytes(DIGEST)
+        self._own = START
 
     def load(self) -> tuple[Checkpoint | None, list[str]]:
         """The newest valid checkpoint, and one line for each damaged one."""
@@ -209,21 +209,20 @@ class Store:
         for header, state in sorted(found, key=lambda pair: -pair[0]["store"]["number"]):
             own = header["store"]
             try:
-                history = self._read(own["length"], bytes.fromhex(own["seal"]))
+                history = self._read(own["length"], own["seal"])
             except (DamagedError, OSError) as error:
                 damaged.append(f"{self.folder / HISTORY}: {error}")
                 continue
-            self._number, self._length = own["number"], own["length"]
-            self._seal = bytes.fromhex(own["seal"])
+            self._own = own
             return Checkpoint(header, state, history), damaged
         return None, damaged
 
     def lost(self) -> bool:
         """Whether the history that earlier checkpoints rely on is no longer there."""
         try:
-            return (self.folder / HISTORY).stat().st_size < self._length
+            return (self.folder / HISTORY).stat().st_size < self._own["length"]
         except OSError:
-            return self._length > 0
+            return self._own["length"] > 0
 
     def save(self, header: Mapping[str, Any], state: Packed, history: Arrays) -> None:
         """Write a checkpoint; if that fails, the earlier ones stay valid.
@@ -239,11 +238,10 @@ class Store:
         self.folder.parent.mkdir(exist_ok=True)
         self.folder.mkdir(exist_ok=True)
         length, seal = self._append(history)
-        number = self._number + 1
-        own = {"number": number, "length": length, "seal": seal.hex()}
+        own = {"number": self._own["number"] + 1, "length": length, "seal": seal}
         data = to_bytes({**header, "store": own}, state)
-        write_whole(self.folder / SLOTS[number % 2], data)
-        self._number, self._length, self._seal = number, length, seal
+        write_whole(self.folder / SLOTS[own["number"] % 2], data)
+        self._own = own
 
     def clear(self) -> None:
         """Remove all checkpoints."""
@@ -251,28 +249,27 @@ class Store:
             (self.folder / name).unlink(missing_ok=True)
         if self.folder.exists():
             shutil.rmtree(self.folder)
-        self._number, self._length, self._seal = 0, 0, bytes(DIGEST)
+        self._own = START
 
-    def _append(self, history: Arrays) -> tuple[int, bytes]:
+    def _append(self, history: Arrays) -> tuple[int, str]:
         """Append a part to the history; return its new length and digest."""
+        length, seal = self._own["length"], self._own["seal"]
         if not any(array.size for array in history.values()):
-            return self._length, self._seal
+            return length, seal
         data = to_bytes({}, Packed("null", history))
-        seal = hashlib.sha256(self._seal + data).digest()
-        path = self.folder / HISTORY
-        with path.open("r+b" if self._length else "wb") as file:
-            file.truncate(self._length)  # drop what a failed attempt may have written
-            file.seek(self._length)
+        with (self.folder / HISTORY).open("r+b" if length else "wb") as file:
+            file.truncate(length)  # drop what a failed attempt may have written
+            file.seek(length)
             file.write(len(data).to_bytes(8, "little"))
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        return self._length + 8 + len(data), seal
+        return length + 8 + len(data), _chained(seal, data)
 
-    def _read(self, length: int, expected: bytes) -> list[Arrays]:
+    def _read(self, length: int, expected: str) -> list[Arrays]:
         """The parts of the first ``length`` bytes of the history."""
         parts: list[Arrays] = []
-        seal, place = bytes(DIGEST), 0
+        seal, place = START["seal"], 0
         if length == 0:
             return parts
         with (self.folder / HISTORY).open("rb") as file:
@@ -282,8 +279,13 @@ class Store:
                 if place > length:
                     raise DamagedError("its length is wrong")
                 data = file.read(size)
-                seal = hashlib.sha256(seal + data).digest()
+                seal = _chained(seal, data)
                 parts.append(from_bytes(data)[1].arrays)
         if seal != expected:
             raise DamagedError("its checksum is wrong")
         return parts
+
+
+def _chained(seal: str, data: bytes) -> str:
+    """The digest of a history with one more part."""
+    return hashlib.sha256(bytes.fromhex(seal) + data).hexdigest()

@@ -22,9 +22,9 @@ from trl_explore.statistics.outcomes import STATUSES
 TRIALS, EPISODES, SCALARS = "trials.csv", "episodes.csv", "scalars"
 EVALUATIONS, TIMINGS = "evaluations.csv", "timings.csv"
 WEIGHTS, KEPT, VISITS = "weights.safetensors", "kept_weights.safetensors", "visits.safetensors"
+FILES = (TRIALS, EPISODES, EVALUATIONS, WEIGHTS, KEPT, VISITS)
+"""The results of a job beside ``scalars/`` and ``run.json``."""
 PACKAGES = ("trl_explore", "torch", "torchrl", "tensordict", "gymnasium", "numpy", "numba")
-
-
 INTEGER = re.compile(r"-?[0-9]{1,19}")
 NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 BOOLS = {"True": True, "False": False}

@@ -31,7 +31,7 @@ class Bar:
     """Whether several processes share the terminal, so that none shows a line."""
 
     def __init__(self, label: str, stream: TextIO = sys.stderr) -> None:
-        self.live = stream.isatty() and not Bar.quiet
+        self.live = stream.isatty() and not self.quiet
         self.shown = time.perf_counter()
         if not self.live:
             return

@@ -9,7 +9,6 @@ import threading
 import time
 from importlib import import_module
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 try:
@@ -128,12 +127,7 @@ class Lock:
         os.write(file, f"{socket.gethostname()} {os.getpid()} {_birth(os.getpid())}".encode())
         return file
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.release()
 
     def release(self) -> None:

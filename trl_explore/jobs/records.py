@@ -230,7 +230,7 @@ def read_visits(job: Path) -> dict[str, NDArray[np.int64]] | None:
     """Read where the trials of a job have been; None if it was not recorded.
 
     Returns:
-        "iteration" [k], "visits" and "reached" [k, rows, columns]; see ``training.visits.joined``.
+        "iteration" [k], "visits" and "reached" [k, rows, columns]; see ``Visits.joined``.
 
     Raises:
         ResultsError: if the file is truncated or invalid.

@@ -144,7 +144,7 @@ class Checkpoints:
 
     Args:
         job: the folder of the job.
-        load: whether to load existing checkpoints; prints one warning if any is damaged.
+        load: whether to load existing checkpoints; a damaged one gives a warning.
 
     Attributes:
         header: the header of a checkpoint; None: there are no checkpoints.
@@ -198,7 +198,7 @@ class Checkpoints:
                 store.clear()
 
     def rescue(self) -> None:
-        """After an interruption, save the states kept by the savers, then stop saving."""
+        """After an interruption, save the states that the savers kept."""
         for saver in self.savers:
             saver.rescue()
 

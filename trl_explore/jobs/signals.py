@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from subprocess import CalledProcessError
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, NoReturn
 
 PATIENCE = 0.8
@@ -23,8 +23,6 @@ WATCH = "end with parent"
 WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
 REQUEUE = [getattr(signal, name) for name in ("SIGUSR1", "SIGUSR2") if hasattr(signal, name)]
 """Signals for which a launcher may have set a handler: submitit's requeues the job and exits."""
-
-
 _received: list[Interrupted] = []
 """The signals received since ``raise_on_signals``."""
 
@@ -69,25 +67,15 @@ def _lost(event: sys.UnraisableHookArgs) -> None:
 
 
 def check() -> None:
-    """Raise ``Interrupted`` if a signal was received.
-
-    The exception of the handler may have been dropped or converted to another error.
-
-    Raises:
-        Interrupted: if a signal was received.
-    """
+    """Raise the ``Interrupted`` of a received signal, which may have been dropped or converted."""
     if _received:
         raise _received[0] from None
 
 
 def leave_on_signals() -> None:
     """Make these signals end the process at once, while it is still importing modules."""
-
-    def handle(signum: int, frame: FrameType | None) -> None:
-        leave(Interrupted(signum))
-
     for signum in _served():
-        signal.signal(signum, handle)
+        signal.signal(signum, lambda signum, frame: leave(Interrupted(signum)))
 
 
 def leave(error: Interrupted) -> NoReturn:
@@ -188,12 +176,7 @@ class Interrupts:
         Interrupts.serving = bool(served)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, *error: object) -> None:
         Interrupts.serving = False
         for signum, handler in self._before.items():
             if signum == signal.SIGALRM:  # restored last: no handler sets the timer after it
@@ -226,11 +209,7 @@ class Interrupts:
             signal.setitimer(signal.ITIMER_REAL, 0)
 
     def check(self) -> None:
-        """Raise ``Interrupted`` if a signal was received.
-
-        Raises:
-            Interrupted: if a signal was received.
-        """
+        """Raise ``Interrupted`` if a signal was received."""
         if self.pending is not None:
             raise self.pending from None
 

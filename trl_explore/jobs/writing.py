@@ -21,6 +21,7 @@ from trl_explore.jobs.columns import (
     EPISODES,
     EVALUATION_COLUMNS,
     EVALUATIONS,
+    FILES,
     KEPT,
     LEARN_COLUMNS,
     PACKAGES,
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
 
 def clear(job: Path) -> None:
     """Remove the results of a job, finished or unfinished, from its folder; ``run.json`` first."""
-    for name in (RUN, TRIALS, EPISODES, EVALUATIONS, WEIGHTS, KEPT, VISITS):
+    for name in (RUN, *FILES):
         (job / name).unlink(missing_ok=True)
     for temporary in job.glob(".*.tmp"):
         if temporary.is_dir():
@@ -95,28 +96,30 @@ def write_job(
         collector: name of the collector that was used.
         seconds: wall time of the training, without compilation.
         episodes: whether to write ``episodes.csv``.
-        kept: the arrays of ``kept_weights.safetensors``; None: do not write it.
-        evaluations: the columns of ``evaluations.csv``; None: do not write it.
-        learned: the columns ``LEARN_COLUMNS`` of ``trials.csv``; None: do not write them.
+        kept: the arrays of ``kept_weights.safetensors``; this and the next are None if unknown.
+        evaluations: the columns of ``evaluations.csv``.
+        learned: the columns ``LEARN_COLUMNS`` of ``trials.csv``.
         diagnostics: further columns of ``episodes.csv``, one entry per iteration and active trial.
-        visits: the arrays of ``visits.safetensors``; None: do not write it.
+        visits: the arrays of ``visits.safetensors``.
     """
     import torch
     from safetensors.numpy import save
+    from safetensors.torch import save as save_torch
 
-    _write_text(job / TRIALS, _trials_csv(trials, config, learned or {}))
+    write_whole(job / TRIALS, _trials_csv(trials, config, learned or {}).encode())
     if episodes:
         extra = diagnostics or {}
-        _write_text(job / EPISODES, _episodes_csv(trials, config["first_trial"], extra))
+        write_whole(job / EPISODES, _episodes_csv(trials, config["first_trial"], extra).encode())
     if evaluations is not None:
         values = _from(config["first_trial"], evaluations)
-        _write_text(job / EVALUATIONS, table_text(EVALUATION_COLUMNS | PURPOSE_COLUMNS, values))
+        text = table_text(EVALUATION_COLUMNS | PURPOSE_COLUMNS, values)
+        write_whole(job / EVALUATIONS, text.encode())
     _write_scalars(job, trials)
-    _write_weights(job / WEIGHTS, weights)
+    write_whole(job / WEIGHTS, save_torch({k: w.detach().contiguous() for k, w in weights.items()}))
     for name, arrays in ((KEPT, kept), (VISITS, visits)):
         if arrays is not None:
             write_whole(job / name, save({key: a.copy() for key, a in arrays.items()}))
-    paths = [job / name for name in (TRIALS, EPISODES, EVALUATIONS, WEIGHTS, KEPT, VISITS)]
+    paths = [*(job / name for name in FILES), *sorted((job / SCALARS).glob("*.csv"))]
     run = {
         "status": "finished",
         "experiment": experiment,
@@ -127,18 +130,14 @@ def write_job(
         "seconds": seconds,
         "iterations": trials.iteration,
         "threads": {"compiled": config["threads"], "torch": torch.get_num_threads()},
-        "files": record(job, [*paths, *sorted((job / SCALARS).glob("*.csv"))]),
+        "files": record(job, paths),
         "config": config,
         "versions": versions(),
         "code": code_digests(config),
         "machine": {"system": platform.system(), "processor": platform.machine()},
     }
     _sync(job)
-    _write_text(job / RUN, json.dumps(run, indent=2) + "\n")
-
-
-def _write_text(path: Path, text: str) -> None:
-    write_whole(path, text.encode())
+    write_whole(job / RUN, (json.dumps(run, indent=2) + "\n").encode())
 
 
 def _sync(path: Path) -> None:
@@ -201,13 +200,6 @@ def _write_scalars(job: Path, trials: Trials) -> None:
         shutil.rmtree(parent, ignore_errors=True)
 
 
-def _write_weights(path: Path, weights: Mapping[str, Tensor]) -> None:
-    from safetensors.torch import save
-
-    tensors = {name: tensor.detach().contiguous() for name, tensor in weights.items()}
-    write_whole(path, save(tensors))
-
-
 def write_timings(sweep: Path, timings: pd.DataFrame) -> None:
     """Write the seconds of trials that were run alone.
 
@@ -215,7 +207,6 @@ def write_timings(sweep: Path, timings: pd.DataFrame) -> None:
         sweep: the folder that holds the folders of the jobs.
         timings: the columns ``TIMING_COLUMNS``, one row per trial.
     """
-    table = timings[list(TIMING_COLUMNS)].to_csv(
-        index=False, lineterminator="\n", float_format="%.6f"
-    )
-    _write_text(sweep / TIMINGS, table)
+    columns = timings[list(TIMING_COLUMNS)]
+    table = columns.to_csv(index=False, lineterminator="\n", float_format="%.6f")
+    write_whole(sweep / TIMINGS, table.encode())

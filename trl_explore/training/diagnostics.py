@@ -16,7 +16,7 @@ from trl_explore.objectives.episodes import Episodes
 from trl_explore.policies.actor import SoftmaxCategorical, frame_distribution
 from trl_explore.strategies import BaseStrategy, Strategy
 from trl_explore.training.quantities import DIAGNOSTIC_COLUMNS as COLUMNS
-from trl_explore.training.visits import Visits
+from trl_explore.training.snapshots import Visits
 
 CELL = 0.1
 """The width of the cells of a continuous observation, in its own units."""
@@ -160,12 +160,11 @@ class Diagnostics:
 
     def columns(self) -> dict[str, NDArray[np.float32]]:
         """Every quantity, one entry per iteration and active trial, ordered by both."""
-        table = np.concatenate([np.empty((0, len(COLUMNS)), np.float32), *self._rows])
-        return dict(zip(COLUMNS, table.T, strict=True))
+        return dict(zip(COLUMNS, self.history()["rows"].T, strict=True))
 
     def iterations(self) -> NDArray[np.int64]:
         """The iteration of every entry of ``columns``, from 1."""
-        counts = [len(rows) for rows in self._rows]
+        counts = self.history()["counts"]
         return np.repeat(np.arange(1, len(counts) + 1), counts)
 
     def state_dict(self) -> dict[str, Any]:

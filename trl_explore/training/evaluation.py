@@ -207,13 +207,9 @@ class Evaluator:
         trial = np.concatenate([np.repeat(trials, x.shape[1]) for _, _, trials, x in rows])
         purpose = np.concatenate([np.full(x.size, kind) for _, kind, _, x in rows])
         score = np.concatenate([x.reshape(-1) for *_, x in rows])
+        columns = {"trial": trial, "iteration": iteration, "score": score, "purpose": purpose}
         order = np.lexsort((trial, purpose, iteration))
-        return {
-            "trial": trial[order],
-            "iteration": iteration[order],
-            "score": score[order],
-            "purpose": purpose[order],
-        }
+        return {name: column[order] for name, column in columns.items()}
 
     def state_dict(self) -> dict[str, Any]:
         """What the rule has decided and needs to go on; ``history`` has all scores."""

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from trl_explore.numerics.compiled.cache import clock
-from trl_explore.training import snapshots
 from trl_explore.training.record import Trials
+from trl_explore.training.snapshots import Snapshots, Visits
 from trl_explore.training.trainer import Trainer
-from trl_explore.training.visits import joined
 
 LARGEST = 4096
 """Most trials in a shard: larger ones need more memory for the frames and are not faster."""
@@ -127,10 +126,20 @@ class Shards:
             return parts[0]
         return {name: torch.cat([part[name].detach() for part in parts]) for name in parts[0]}
 
+    def recorded(self) -> dict[str, Any]:
+        """What was recorded beside trials and weights, by argument of ``jobs.write_job``."""
+        return {
+            "kept": self.kept_weights(),
+            "evaluations": self.evaluations(),
+            "learned": self.learned(),
+            "diagnostics": self.diagnostics(),
+            "visits": self.visits(),
+        }
+
     def kept_weights(self) -> dict[str, NDArray[Any]] | None:
-        """The weights along the way (``snapshots.joined``); None if none were asked for."""
+        """The weights along the way (``Snapshots.joined``); None if none were asked for."""
         found = [t.snapshots for t in self.trainers if t.snapshots is not None]
-        return snapshots.joined(found)
+        return Snapshots.joined(found)
 
     def evaluations(self) -> dict[str, NDArray[Any]] | None:
         """The rows of ``Evaluator.rows`` for all trials; None if there is no evaluation."""
@@ -154,24 +163,18 @@ class Shards:
     def diagnostics(self) -> dict[str, NDArray[Any]] | None:
         """Every diagnostic, one entry per iteration and active trial; None if not recorded."""
         found = [t.diagnostics for t in self.trainers if t.diagnostics is not None]
-        return _by_iteration([d.columns() for d in found], [d.iterations() for d in found])
+        if not found:
+            return None
+        order = np.argsort(np.concatenate([d.iterations() for d in found]), kind="stable")
+        parts = [d.columns() for d in found]
+        return {name: np.concatenate([part[name] for part in parts])[order] for name in parts[0]}
 
     def visits(self) -> dict[str, NDArray[np.int64]] | None:
-        """Where all trials have been (``visits.joined``); None if not recorded."""
+        """Where all trials have been (``Visits.joined``); None if not recorded."""
         found = [t.diagnostics.visits for t in self.trainers if t.diagnostics is not None]
-        return joined([visits for visits in found if visits is not None])
+        return Visits.joined([visits for visits in found if visits is not None])
 
     def close(self) -> None:
         """Close the environments."""
         for trainer in self.trainers:
             trainer.close()
-
-
-def _by_iteration(
-    parts: Sequence[Mapping[str, NDArray[Any]]], iterations: Sequence[NDArray[np.int64]]
-) -> dict[str, NDArray[Any]] | None:
-    """The rows of all parts, ordered by iteration and then part; None if there is no part."""
-    if len(parts) < 2:
-        return dict(parts[0]) if parts else None
-    order = np.argsort(np.concatenate(iterations), kind="stable")
-    return {name: np.concatenate([part[name] for part in parts])[order] for name in parts[0]}

@@ -20,6 +20,12 @@ from trl_explore.training.optimizers import TrialOptimizer, Views, all_finite
 from trl_explore.training.record import Trials
 from trl_explore.training.snapshots import Snapshots
 
+PARTS = (
+    "collector", "loss", "optimizer", "trials", "evaluator", "diagnostics", "intrinsic",
+    "snapshots",
+)  # fmt: skip
+"""The attributes of the trainer that have a state."""
+
 
 class TrialLoss(Protocol):
     """The interface of a loss that the trainer uses."""
@@ -93,18 +99,9 @@ class Trainer:
         before an interruption [s]."""
         self.evaluating = 0.0
         """Wall time of evaluations since the trainer was built, without compilation [s]."""
-        parts = {
-            "collector": collector,
-            "loss": loss,
-            "optimizer": optimizer,
-            "trials": trials,
-            "evaluator": evaluator,
-            "diagnostics": diagnostics,
-            "intrinsic": intrinsic,
-            "snapshots": snapshots,
-        }
-        self.parts: dict[str, Any] = {k: part for k, part in parts.items() if part is not None}
-        """All parts with a state, by name; a new part of the loop must be added here."""
+        parts: dict[str, Any] = {name: getattr(self, name) for name in PARTS}
+        self.parts = {name: part for name, part in parts.items() if part is not None}
+        """All parts with a state, by name."""
 
     def run(self, stopped: Callable[[], bool] = lambda: False) -> Trials:
         """Train until every trial has stopped, or ``stopped()`` is true between iterations."""

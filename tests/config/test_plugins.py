@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from trl_explore.config import awaiting
+from trl_explore.config import plugins
 
 SLURM = "hydra_plugins.hydra_submitit_launcher.submitit_launcher.SlurmLauncher"
 
@@ -50,13 +50,13 @@ def test_every_job_is_awaited_however_the_first_ends(submitit, tmp_path):
     jobs = [
         Job(missing, "CANCELLED"),
         Job(done, "UNKNOWN", result="returned"),
-        Job(missing, awaiting.GONE),
+        Job(missing, plugins.GONE),
         Job(done, "FAILED", error=RuntimeError(trace)),
     ]
     submitit.AutoExecutor.map_array = lambda executor, *arguments: jobs
     reasons: list[str] = []
-    awaiting.await_all(SLURM, lambda reason: pytest.fail("of an earlier sweep"))
-    awaiting.await_all(SLURM, reasons.append)
+    plugins.await_all(SLURM, lambda reason: pytest.fail("of an earlier sweep"))
+    plugins.await_all(SLURM, reasons.append)
     returned = [job.results()[0] for job in submitit.AutoExecutor.map_array(None)]
     assert all(job.waited for job in jobs)
     assert returned[1] == "returned"
@@ -70,7 +70,7 @@ def test_every_job_is_awaited_however_the_first_ends(submitit, tmp_path):
 
 
 def test_the_states_of_jobs_are_those_of_the_queue(submitit):
-    awaiting.await_all(SLURM, lambda reason: None)
+    plugins.await_all(SLURM, lambda reason: None)
     watcher = submitit.slurm.slurm.SlurmJob.watcher
     for job in ("7_0", "7_1", "7_2", "7_3"):
         watcher.register_job(job)
@@ -86,6 +86,6 @@ def test_the_states_of_jobs_are_those_of_the_queue(submitit):
 
 
 def test_another_launcher_is_left_alone(monkeypatch):
-    monkeypatch.setattr(awaiting, "_await_submitit", pytest.fail)
-    monkeypatch.setattr(awaiting, "_await_ray", pytest.fail)
-    awaiting.await_all("hydra._internal.core_plugins.basic_launcher.BasicLauncher", pytest.fail)
+    monkeypatch.setattr(plugins, "_await_submitit", pytest.fail)
+    monkeypatch.setattr(plugins, "_await_ray", pytest.fail)
+    plugins.await_all("hydra._internal.core_plugins.basic_launcher.BasicLauncher", pytest.fail)
