@@ -5,11 +5,9 @@ from trl_explore.training.optimizers.optimizer import (
     COUPLING,
     ELEMENTWISE,
     LaneOptimizer,
-    Parameters,
     TrialOptimizer,
     Views,
     all_finite,
-    grouped,
     torch_optimizer,
 )
 
@@ -18,10 +16,8 @@ __all__ = [
     "ELEMENTWISE",
     "LaneAdam",
     "LaneOptimizer",
-    "Parameters",
     "TrialOptimizer",
     "Views",
     "all_finite",
-    "grouped",
     "torch_optimizer",
 ]
