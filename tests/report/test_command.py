@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from trl_explore.commands.main import main
+from trl_explore.jobs.console import Bar
 
 SWEEP_ONLY = "configurations: [{sweep: [strategy=none]}]\n"
 
@@ -63,3 +64,21 @@ def test_a_wrong_argument_is_one_line(tmp_path, monkeypatch, capsys, words, stud
     assert (status, out, len(errors)) == (1, "", 1)
     assert message in errors[0]
     assert not list(tmp_path.rglob("index.html"))
+
+
+def test_the_progress_is_a_bar_on_a_terminal_and_lines_elsewhere(place, capsys, monkeypatch):
+    assert main(["report", "one", "two"]) == 0
+    stages = capsys.readouterr().err.splitlines()
+    assert (stages[0], stages[-1]) == ("reading 2 jobs", "page")
+
+    shown = []
+    monkeypatch.setattr(Bar, "__init__", lambda self, label: setattr(self, "live", True))
+    monkeypatch.setattr(Bar, "show", lambda self, *told: shown.append(told))
+    monkeypatch.setattr(Bar, "close", lambda self: shown.append("closed"))
+    assert main(["report", "one", "two"]) == 0
+    *told, last = shown
+    assert ([stage for _, _, stage in told], last) == (stages, "closed")
+    done = [share for share, _, _ in told]
+    assert done == sorted(done)
+    assert 0 <= done[0] < done[-1] < 1
+    assert capsys.readouterr().err == ""

@@ -7,10 +7,11 @@ import re
 import subprocess
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from trl_explore.jobs.columns import ResultsError
-from trl_explore.jobs.console import printable, tell, text_table
+from trl_explore.jobs.console import Bar, printable, tell, text_table
 from trl_explore.logs.csv_files import USUAL
 from trl_explore.logs.measures import tasks
 from trl_explore.logs.runs import READERS, read_runs
@@ -49,7 +50,11 @@ def main() -> int:
             arguments.folders = folders
             page, gaps = _report_logs(arguments, out), []
         else:
-            page, gaps = build_report(folders, out, study, _say)
+            bar = Bar("report")
+            try:
+                page, gaps = build_report(folders, out, study, partial(_say, bar))
+            finally:
+                bar.close()
     except ResultsError as error:
         tell(error)
         return 1
@@ -96,8 +101,12 @@ def _run(study: StudyFile, words: Sequence[str]) -> Path:
     return output
 
 
-def _say(stage: str) -> None:
-    print(stage, file=sys.stderr, flush=True)
+def _say(bar: Bar, done: float, stage: str) -> None:
+    """Show the stage that begins in the bar; a plain line where there is no terminal."""
+    if bar.live:
+        bar.show(done, 1, stage)
+    else:
+        print(stage, file=sys.stderr, flush=True)
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -39,7 +39,7 @@ def build_report(
         folders: job or sweep folders, any number.
         out: folder of the report; ``figures/`` and ``tables/`` of an earlier report are replaced.
         study: what is asked; None: the questions are inferred from what differs.
-        say: called with the name of every stage.
+        say: called at the start of every stage, with the share that is done and its name.
 
     Returns:
         Path of the page, and what is missing from the report.
@@ -49,8 +49,9 @@ def build_report(
     """
     evidence = gather(load(folders, say), study, say)
     figures = {}
+    n = len(evidence.groups)
     for k, part in enumerate(evidence.groups, start=1):
-        say(f"figures {k} of {len(evidence.groups)}: {part.group.title}")
+        say(0.5 + 0.4 * (k - 1) / n, f"figures {k} of {n}: {part.group.title}")
         figures[part.group.id] = list(draw_all(part))
     content = Content(
         evidence=evidence,
@@ -65,7 +66,7 @@ def build_report(
         acting=list(draw_why(evidence.decompositions)),
         map=MAP if (out / MAP).is_file() else "",
     )
-    say("page")
+    say(0.9, "page")
     pictures: list[Picture] = [f for group in figures.values() for f in group]
     tables = [
         claims_table(evidence.checked), content.settings, content.jobs, content.gaps,

@@ -130,7 +130,8 @@ def gather(loaded: Loaded, study: StudyFile | None = None, say: Say = silent) ->
     groups = asked(group_jobs(jobs, together=bool(study.compare)), study)
     parts = []
     for k, group in enumerate(groups, start=1):
-        say(f"{k} of {len(groups)}: {group.title}, {len(group.configurations)} configurations")
+        stage = f"{k} of {len(groups)}: {group.title}, {len(group.configurations)} configurations"
+        say(0.1 + 0.3 * (k - 1) / len(groups), stage)
         parts.append(_group_evidence(group, gaps, study))
     parts.sort(key=lambda p: (p.single, experiment_rank(p.group.experiment), -p.size,
                               not any(s.converged for s in p.summaries)))  # fmt: skip
@@ -142,7 +143,7 @@ def gather(loaded: Loaded, study: StudyFile | None = None, say: Say = silent) ->
         timed_trials={key: t.trial for key, t in timed.items() if t is not None},
         level=study.level,
     )
-    say("statements")
+    say(0.4, "statements")
     checked = _checked(data, study)
     reexamined, causes = _why(data)
     runs = [run for p in parts for run in runs_of(p.group, p.traces.heights)]

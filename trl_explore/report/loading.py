@@ -22,11 +22,11 @@ from trl_explore.report.tables import listed, some
 from trl_explore.statistics.outcomes import Outcomes, convergence_times
 from trl_explore.statistics.pairing import configuration_key, deduplicate, trial_keys
 
-Say = Callable[[str], None]
-"""Told what is being done, one line per stage."""
+Say = Callable[[float, str], None]
+"""Told the share that is done, in [0, 1], and the stage that begins."""
 
 
-def silent(stage: str) -> None:
+def silent(done: float, stage: str) -> None:
     """Say nothing."""
 
 
@@ -78,7 +78,7 @@ def load(folders: Sequence[Path], say: Say = silent) -> Loaded:
             raise ResultsError(f"{folder}: no such folder")
     found = {job.resolve(): done for f in folders for job, done in results.find_folders(f)}
     if (number := sum(found.values())) > 1:
-        say(f"reading {number} jobs")
+        say(0.0, f"reading {number} jobs")
     gaps = [Gap(_place(job), UNFINISHED) for job in sorted(found) if not found[job]]
     errors: list[Exception] = []
     jobs = []
