@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -234,3 +235,10 @@ def test_the_tests_mirror_the_rooms():
     rooms = {path.parent.relative_to(PACKAGE) for path in PACKAGE.glob("*/**/__init__.py")}
     assert {room for room in rooms if len(room.parts) == 1} <= tests
     assert tests - rooms <= TESTS_OF_OTHERS
+
+
+def test_the_page_on_the_architecture_names_files_that_exist():
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:[a-z_]+/)+[a-z_]+\.\w+)`", text))
+    assert len(named) > 60
+    assert [p for p in sorted(named) if not ((ROOT / p).exists() or (PACKAGE / p).exists())] == []
