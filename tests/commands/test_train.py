@@ -583,7 +583,7 @@ def test_help_and_configuration_without_torch(run_many, tmp_path):
         "strategy: argmax, ",
         "experiment: baselines, ",
         "trials: 30",
-        "# The trials of a job. Trial k of a seed is the same agent in every job.\nseed: 0\n",
+        "# Trial k of a seed is the same agent in every job.\nseed: 0   # of all random numbers",
         "  discount_steps: false   # multiply by gamma^t\n",
         "10 % more each time, and the cap, where a compiled kernel serves; n: every n",
         "max_iterations: ${env.max_iterations}\n",
