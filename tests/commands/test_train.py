@@ -586,7 +586,7 @@ def test_help_and_configuration_without_torch(run_many, tmp_path):
         "# Trial k of a seed is the same agent in every job.\nseed: 0   # of all random numbers",
         "  discount_steps: false   # multiply by gamma^t\n",
         "10 % more each time, and the cap, where a compiled kernel serves; n: every n",
-        "max_iterations: ${env.max_iterations}\n",
+        "max_iterations: ${env.max_iterations}   # the cap",
     ):
         assert text in helped.stdout
     assert "epsilon: 0.3" in shown.stdout
