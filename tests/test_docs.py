@@ -78,7 +78,7 @@ def test_the_search_works_from_the_disk(site):
     url = f"{(site / 'index.html').as_uri()}?q=Brookmeyer"
     done = subprocess.run(
         [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom",
-         "--virtual-time-budget=15000", url],
+         "--virtual-time-budget=60000", url],
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert "1 matching document" in done.stdout
