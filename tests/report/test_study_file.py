@@ -199,3 +199,16 @@ def test_every_claim_of_a_study_has_a_definition(study):
     claims: list[Claim] = own_claims(asked.claims, "mine")
     assert all(claim.definition.endswith(".") for claim in claims)
     assert len(claims) == 5
+
+
+def test_a_symbol_keeps_its_capital_within_a_sentence(tmp_path, make_job):
+    """T is a temperature; t would be a time step."""
+    for name, temperature, base in (("low", 0.5, 300), ("one", 1.0, 140)):
+        make_job(
+            tmp_path / "sweep", name, [base + k for k in range(20)], strategy="softmax",
+            parameters={"temperature": temperature}, evaluate_every=20,
+            learned=[base - 100 + k for k in range(20)],
+        )  # fmt: skip
+    (part,) = gather(load([tmp_path / "sweep"])).groups
+    (said,) = (s for s in part.sentences if "learns fastest" in s)
+    assert said.startswith("Judged by what was learned, T = 1 learns fastest")

@@ -212,11 +212,16 @@ def _group_evidence(group: Group, gaps: list[Gap], study: StudyFile) -> GroupEvi
     learned = replace(group, configurations=list(group.learned), learned=())
     by_learning = _measured(learned, traces, study)
     said = [
-        s if s.startswith("The learned") else f"Judged by what was learned, {s[:1].lower()}{s[1:]}"
+        s if s.startswith("The learned") else f"Judged by what was learned, {_within(s)}"
         for s in by_learning.sentences
         if s not in found.sentences and "confounded" not in s
     ]
     return replace(found, learned=by_learning, sentences=(*found.sentences, *said))
+
+
+def _within(sentence: str) -> str:
+    """A sentence as it continues another: without its capital, unless that is a symbol (T = 1)."""
+    return sentence if sentence[1:2] == " " else sentence[:1].lower() + sentence[1:]
 
 
 def _measured(group: Group, traces: Traces, study: StudyFile) -> GroupEvidence:

@@ -236,7 +236,9 @@ def settled(jobs: Sequence[Job]) -> list[str]:
                 rows = [(r["first"], r["second"], r["greater mean"]) for r in csv.DictReader(file)]
         except (OSError, KeyError, csv.Error):
             rows = []
-        said = [f"{more} over {b if more == a else a}" for a, b, more in rows if more in (a, b)]
+        said = [
+            f"{more} (against {b if more == a else a})" for a, b, more in rows if more in (a, b)
+        ]
         left = sum(more == "open" for *_, more in rows)
         found.append(
             "Trials were added until the comparisons were decided (until=settled). With the error"
