@@ -195,6 +195,13 @@ def test_a_strategy_on_the_meta_device_is_refused(name):
         getattr(strategies, name)()
 
 
+def test_a_strategy_built_in_inference_mode_moves_outside_it():
+    with torch.inference_mode():
+        strategy = EpsilonGreedy(Linear(1.0, 0.0, 5))
+    strategy.step()
+    assert strategy.epsilon.item() == pytest.approx(0.8)
+
+
 # Compiled and functional use
 
 
