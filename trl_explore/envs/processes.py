@@ -30,7 +30,7 @@ from trl_explore.numerics.streams import Stream
 
 BOOT = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from trl_explore.envs.processes import serve; serve()"
+    "from trl_explore.envs.processes import run_worker; run_worker()"
 )
 
 
@@ -216,7 +216,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def serve() -> None:
+def run_worker() -> None:
     """Main program of a worker process: requests on standard input, answers on standard output."""
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # an environment's output must not mix with the answers

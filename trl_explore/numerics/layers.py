@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from trl_explore.numerics.dispatch import check_frames, compiled, serves
+from trl_explore.numerics.dispatch import check_frames, compiled, supports
 
 ACTIVATIONS = ("tanh", "relu")
 
@@ -51,7 +51,7 @@ def lane_linear(x: Tensor, weight: Tensor, trial: Tensor, bias: Tensor | None = 
             f"the bias has shape {list(bias.shape)}, but the weights have {list(weight.shape)}"
         )
     given = [weight] if bias is None else [weight, bias]
-    if not serves(x, *given):
+    if not supports(x, *given):
         return plain_lane_linear(x, weight, trial, bias)
     rows = x.reshape(-1, x.shape[-1]).contiguous(), weight, trial.reshape(-1).contiguous(), bias
     differentiate = torch.is_grad_enabled() and any(t.requires_grad for t in (x, *given))
@@ -153,7 +153,7 @@ def activate(x: Tensor, activation: str) -> Tensor:
         [0.0, 2.0]
     """
     check_activation(activation)
-    if not serves(x):
+    if not supports(x):
         return plain_activate(x, activation)
     flat = x.reshape(-1).contiguous()
     if torch.is_grad_enabled() and x.requires_grad:
