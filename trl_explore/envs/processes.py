@@ -24,10 +24,12 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from trl_explore.checks import first_line
+from trl_explore.checks import check_integer, first_line
 from trl_explore.envs.copies import Copies, EnvError, Make, Signals
 from trl_explore.numerics.streams import Stream
 
+MAX_WORKERS, MIN_LANES = 256, 4
+"""Most processes, and fewest lanes of each if their number is chosen automatically."""
 BOOT = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
     "from trl_explore.envs.processes import run_worker; run_worker()"
@@ -129,6 +131,20 @@ class ProcessCopies(Copies):
         """Close every copy and end the processes."""
         super().close()
         self._end()
+
+
+def worker_count(workers: int | None, lanes: int) -> int:
+    """The number of processes that step the lanes; None: one per processor."""
+    if workers is None:
+        return max(1, min(processors(), lanes // MIN_LANES))
+    return min(check_integer("workers", workers, 1, MAX_WORKERS), lanes)
+
+
+def processors() -> int:
+    """The number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _memory_file() -> int:
