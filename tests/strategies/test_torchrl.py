@@ -206,7 +206,7 @@ def test_a_strategy_built_in_inference_mode_moves_outside_it():
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_one_graph_serves_every_iteration(name):
+def test_one_graph_is_used_in_every_iteration(name):
     schedule = Exponential(0.9, 0.9)
     kind = getattr(strategies, name)
     parameters = make(name).schedules.keys() if name != "DecayingEpsilonGreedy" else ()

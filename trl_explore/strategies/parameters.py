@@ -98,7 +98,7 @@ class Parametrised(TensorDictModuleBase):
         return schedule(int(clock))
 
     def spread(self, trials: int) -> None:
-        """Serve ``trials`` trials; each counts its own frames, as episodes differ in length.
+        """Count the frames of each of ``trials`` trials, as episodes differ in length.
 
         Raises:
             ValueError: if a per-trial parameter does not have one value for every trial.
