@@ -3,6 +3,7 @@
 import copy
 import inspect
 import io
+from itertools import product
 
 import numpy as np
 import pytest
@@ -108,21 +109,18 @@ def test_frames_do_not_depend_on_each_other(name):
 
 
 @everyone
-@pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3), (0,)])
-@pytest.mark.parametrize("given", [True, False])
-def test_batch_shapes(name, batch, given):
-    entries = {"noise": torch.full((*batch, 3), 0.5)} if given else {}
-    data = TensorDict(
-        {"loc": LOC.expand(*batch, 2), "scale": SCALE.expand(*batch, 2), **entries}, batch
-    )
+def test_batch_shapes(name):
     strategy = build(name)
     assert strategy.noise_size == 3
-    strategy(data)
-    assert data["action"].shape == (*batch, 2)
-    assert data["action"].dtype == torch.float32
-    if strategy.exact:
-        assert data["action_log_prob"].shape == batch
-        assert data["action_log_prob"].dtype == torch.float32
+    for batch, given in product([(), (1,), (5,), (2, 3), (0,)], (True, False)):
+        entries = {"noise": torch.full((*batch, 3), 0.5)} if given else {}
+        pi = {"loc": LOC.expand(*batch, 2), "scale": SCALE.expand(*batch, 2)}
+        data = strategy(TensorDict({**pi, **entries}, batch))
+        assert data["action"].shape == (*batch, 2)
+        assert data["action"].dtype == torch.float32
+        if strategy.exact:
+            assert data["action_log_prob"].shape == batch
+            assert data["action_log_prob"].dtype == torch.float32
 
 
 @everyone
