@@ -208,7 +208,7 @@ def bar(ax: Axes, e: Estimate, y: float, **look: Any) -> None:
 def marks(entries: Sequence[tuple[str, str]]) -> list[Line2D]:
     """Legend entries of points with a face: label and colour."""
     return [
-        Line2D([], [], ls="", color=MUTED, marker="o", mfc=face, label=label)
+        Line2D([], [], ls="", color=MUTED, marker="o", mfc=face, ms=6, label=label)
         for label, face in entries
     ]
 
