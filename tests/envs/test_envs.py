@@ -273,7 +273,7 @@ def test_agents_train_on_it(id, train):
 
 
 class Odd(Counting):
-    """A kind of environment that is not served; attributes are set by the test."""
+    """A kind of environment that is not supported; attributes are set by the test."""
 
 
 @pytest.mark.parametrize(
@@ -289,7 +289,7 @@ class Odd(Counting):
         ({"action_space": spaces.MultiDiscrete([100, 100])}, "10000 combinations.*1000.*wrapper"),
     ],
 )
-def test_kinds_not_served(attributes, message, monkeypatch):
+def test_kinds_not_supported(attributes, message, monkeypatch):
     for name, value in attributes.items():
         monkeypatch.setattr(Odd, name, value)
     monkeypatch.setitem(gym.registry, "Odd-v0", EnvSpec("Odd-v0", Odd, max_episode_steps=5))

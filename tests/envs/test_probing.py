@@ -1,4 +1,4 @@
-"""What is said about an environment before it is trained on, and which transforms are served."""
+"""What is said about an environment before it is trained on, and which transforms are supported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An environment is played before it is trained on: is it reproducible, are transforms served?"""
+"""An environment is played before training: is it reproducible, are its transforms supported?"""
 
 from __future__ import annotations
 

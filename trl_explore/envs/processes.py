@@ -24,13 +24,15 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from trl_explore.checks import first_line
+from trl_explore.checks import check_integer, first_line
 from trl_explore.envs.copies import Copies, EnvError, Make, Signals
 from trl_explore.numerics.streams import Stream
 
+MAX_WORKERS, MIN_LANES = 256, 4
+"""Most processes, and fewest lanes of each if their number is chosen automatically."""
 BOOT = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from trl_explore.envs.processes import serve; serve()"
+    "from trl_explore.envs.processes import run_worker; run_worker()"
 )
 
 
@@ -131,6 +133,20 @@ class ProcessCopies(Copies):
         self._end()
 
 
+def worker_count(workers: int | None, lanes: int) -> int:
+    """The number of processes that step the lanes; None: one per processor."""
+    if workers is None:
+        return max(1, min(processors(), lanes // MIN_LANES))
+    return min(check_integer("workers", workers, 1, MAX_WORKERS), lanes)
+
+
+def processors() -> int:
+    """The number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def _memory_file() -> int:
     """A file without a name, in memory if the system has such files."""
     if hasattr(os, "memfd_create"):
@@ -216,7 +232,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def serve() -> None:
+def run_worker() -> None:
     """Main program of a worker process: requests on standard input, answers on standard output."""
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # an environment's output must not mix with the answers

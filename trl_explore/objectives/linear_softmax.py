@@ -9,7 +9,7 @@ from tensordict.nn import ProbabilisticTensorDictSequential
 from torch import Tensor
 
 from trl_explore.numerics.surrogate import (
-    formula_serves,
+    formula_applies,
     linear_softmax_gradient,
     linear_softmax_reinforce,
 )
@@ -49,7 +49,7 @@ def closed_form(
         S [trials] and ∂S/∂W; None if these tensors need autograd.
     """
     observation, trial = episodes.tensordict.get("observation"), episodes.trial
-    if not _takes_gradient(weight) or not formula_serves(observation, weight, episodes.reward):
+    if not _takes_gradient(weight) or not formula_applies(observation, weight, episodes.reward):
         return None
     if baseline is not None:
         found = linear_softmax_reinforce(
@@ -59,7 +59,7 @@ def closed_form(
         if found is not None:
             return found
     advantage = factor()
-    if not formula_serves(observation, weight, advantage):
+    if not formula_applies(observation, weight, advantage):
         return None
     return linear_softmax_gradient(observation, weight, action, advantage, trial, scale)
 
