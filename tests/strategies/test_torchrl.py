@@ -189,6 +189,12 @@ def test_counts_of_a_used_strategy_are_loaded_without_a_spec():
     assert torch.equal(new.preferences(frames, logits), used.preferences(frames, logits))
 
 
+@pytest.mark.parametrize("name", OWN)
+def test_a_strategy_on_the_meta_device_is_refused(name):
+    with torch.device("meta"), pytest.raises(ValueError, match=rf"^{name}.*outside.*meta"):
+        getattr(strategies, name)()
+
+
 # Compiled and functional use
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ from trl_explore.statistics.estimates import LEVEL, Estimate
 from trl_explore.statistics.means import mean_difference, mean_interval
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import AGENT_GROUPS, NO_AGENT, trial_keys
-from trl_explore.statistics.samples import Sample, iterations, scores
+from trl_explore.statistics.samples import Sample, iterations, score_range, scores
 
 PLAIN, RATIO, AS_IF = "NoCorrection", "PerStep", "AsIf"
 REFERENCE = "softmax"
@@ -83,7 +84,11 @@ class Run:
                 "handicap": h.evaluated - h.behaved,
             }  # fmt: skip
             passed = np.ones(len(h.keys), dtype=np.bool_)
-            found |= {k: Sample(k, "", x, passed, tuple(h.keys)) for k, x in heights.items()}
+            keys, scored = tuple(h.keys), score_range(self.passed.config.get("env"))
+            found |= {
+                k: Sample(k, "", x, passed, keys, bounds=(-inf, inf) if k == "handicap" else scored)
+                for k, x in heights.items()
+            }
         return found
 
 

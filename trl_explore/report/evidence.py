@@ -31,9 +31,16 @@ from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import SharedTrials, shared_trials
 from trl_explore.statistics.summary import Summary, summarise
-from trl_explore.thesis import CLAIMS, NOT_MEASURED, Checked, Study, check_claims
-from trl_explore.thesis.reexamined import CLAIMS as CAUSES
-from trl_explore.thesis.reexamined import Reexamined, reexamine
+from trl_explore.thesis import (
+    CAUSES,
+    CLAIMS,
+    NOT_MEASURED,
+    Checked,
+    Reexamined,
+    Study,
+    check_claims,
+    reexamine,
+)
 
 MOST_ANSWERS = 8
 """The most questions, in addition to the main one, in the answer."""

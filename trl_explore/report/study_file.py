@@ -38,6 +38,7 @@ from trl_explore import thesis
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.thesis import CLAIMS
+from trl_explore.thesis.algebra import RULES
 
 THESIS = Path(thesis.__file__).with_name("thesis.yaml")
 """The study of the thesis."""
@@ -46,15 +47,6 @@ KEYS = ("title", "question", "configurations", "compare", "measures", "claims", 
 MEASURES = ("passed", "score", "learned")
 BUDGET, FEWEST = 500, 20
 """Most trials of a configuration that runs until it is settled, and the least that can be given."""
-RULES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "passes": (("of",), ("above", "below")),
-    "never_passes": (("of",), ()),
-    "always_passes": (("of",), ()),
-    "less": (("first", "second"), ("measure",)),
-    "ratio": (("first", "second", "low", "high"), ("measure",)),
-    "mean": (("of", "low", "high"), ("measure",)),
-}
-"""Rule -> the keys that it needs, and those that it may have."""
 ALL_RULES = (*RULES, "all", "any", "not")
 SELECTORS = "a name or a mapping of settings is possible"
 UNITS = ("iterations", "score", "frames")

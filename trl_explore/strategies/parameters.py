@@ -29,6 +29,9 @@ class Parametrised(TensorDictModuleBase):
 
     Args:
         trial_key: the entry with the trial of each frame.
+
+    Raises:
+        ValueError: under ``torch.device("meta")``.
     """
 
     iteration: Tensor
@@ -39,6 +42,11 @@ class Parametrised(TensorDictModuleBase):
         self.trial_key = trial_key
         self.register_buffer("iteration", torch.zeros((), dtype=torch.int64))
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
+        if self.iteration.is_meta:
+            raise ValueError(
+                f'{type(self).__name__} holds values, which a device "meta" cannot keep: '
+                'build it outside torch.device("meta")'
+            )
         self.schedules: dict[str, Schedule] = {}
         self._reads_trial = False
 
