@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trl_explore.commands import status
+from trl_explore.commands import main, status
 from trl_explore.jobs import sweeps
 from trl_explore.jobs.checkpoint import Store, pack
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.lock import Lock
+from trl_explore.jobs.reading import find_jobs, read_run
 from trl_explore.jobs.sweeps import report, survey
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "status.py"
@@ -248,3 +249,40 @@ def test_a_failure_is_forgotten_when_the_job_is_finished(tmp_path):
     sweeps.forget_failure(tmp_path / "b")
     sweeps.forget_failure(tmp_path / "b")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_read(sweep, monkeypatch):
+    """No job is left out of status and of frames without a word."""
+    allowed = os.scandir
+
+    def scandir(place):
+        if Path(place).name == "hidden":
+            raise PermissionError(13, "Permission denied", str(place))
+        return allowed(place)
+
+    hidden = sweep / "more" / "hidden"
+    hidden.mkdir(parents=True)
+    monkeypatch.setattr(os, "scandir", scandir)
+    for read in (lambda: survey([sweep]), lambda: find_jobs(sweep)):
+        with pytest.raises(ResultsError, match=f"cannot read {hidden}: Permission denied"):
+            read()
+
+
+def test_a_record_that_cannot_be_read(sweep, monkeypatch):
+    def read_bytes(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "read_bytes", read_bytes)
+    (found,) = survey([sweep / "done"])
+    assert [(job.state, job.iterations) for job in found.jobs] == [("done", None)]
+    with pytest.raises(ResultsError, match=r"cannot read .*run\.json: Permission denied"):
+        read_run(sweep / "done")
+
+
+def test_an_error_of_the_file_system_is_one_line(monkeypatch, capsys):
+    def fail(name):
+        raise PermissionError(13, "Permission denied", "/somewhere/file")
+
+    monkeypatch.setattr(main, "import_module", fail)
+    assert main.main(["status", "."]) == 1
+    assert capsys.readouterr().err == "error: /somewhere/file: Permission denied\n"

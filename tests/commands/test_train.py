@@ -41,7 +41,7 @@ RESULTS = {
 
 
 def complaints(process) -> list[str]:
-    """What stands on stderr, apart from the line that says which collector serves."""
+    """What stands on stderr, apart from the line that says which collector is used."""
     return [line for line in process.stderr.splitlines() if not line.startswith("collector: ")]
 
 
@@ -585,7 +585,7 @@ def test_help_and_configuration_without_torch(run_many, tmp_path):
         "trials: 30",
         "# Trial k of a seed is the same agent in every job.\nseed: 0   # of all random numbers",
         "  discount_steps: false   # multiply by gamma^t\n",
-        "10 % more each time, and the cap, where a compiled kernel serves; n: every n",
+        "10 % more each time, and the cap, where there is a compiled kernel; n: every n",
         "max_iterations: ${env.max_iterations}   # the cap",
     ):
         assert text in helped.stdout

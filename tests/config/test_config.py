@@ -630,7 +630,7 @@ def test_what_is_built_follows_the_configuration():
 
 
 def test_one_line_says_which_collector_serves_all_shards(monkeypatch, caplog):
-    """Also where it cannot serve several threads, so that shards are put together again."""
+    """Also where it cannot use several threads, so that shards are put together again."""
     from trl_explore.training import shards
 
     monkeypatch.setattr(shards, "SMALLEST", 2)

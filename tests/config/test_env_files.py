@@ -156,8 +156,8 @@ def test_which_have_kernels(name):
 
 def job(name: str, tmp_path: Path, *overrides: str) -> list[str]:
     small = ["trials=2", "max_iterations=2", "env.max_steps=20", f"output_dir={tmp_path}"]
-    served = ["policy=gaussian_linear", "strategy=gaussian"] if name in CONTINUOUS else []
-    return [f"env={name}", *small, *served, *overrides]
+    needed = ["policy=gaussian_linear", "strategy=gaussian"] if name in CONTINUOUS else []
+    return [f"env={name}", *small, *needed, *overrides]
 
 
 def test_every_file_trains(run_many, tmp_path):

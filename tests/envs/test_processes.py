@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from trl_explore.envs.copies import EnvError
-from trl_explore.envs.vector import LaneVectorEnv, processors
+from trl_explore.envs.processes import processors
+from trl_explore.envs.vector import LaneVectorEnv
 
 ROOT = Path(__file__).resolve().parents[2]
 

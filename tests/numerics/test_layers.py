@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from trl_explore.numerics import dispatch
 from trl_explore.numerics.layers import ACTIVATIONS, activate, lane_linear, plain_lane_linear
 
 BOTH = pytest.mark.parametrize("linear", [lane_linear, plain_lane_linear])
@@ -279,9 +280,11 @@ def test_shapes_and_layouts(name):
 
 
 @NAMES
-def test_activation_other_dtypes_take_the_plain_path(name):
+def test_activations_without_compiled_code_are_those_of_torch(name, monkeypatch):
     x = torch.tensor([-0.5, 0.25], dtype=torch.bfloat16)
     assert torch.equal(activate(x, name), getattr(torch, name)(x))
+    monkeypatch.setattr(dispatch, "has_numba", lambda: False)
+    assert torch.equal(activate(x.float(), name), getattr(torch, name)(x.float()))
 
 
 def test_an_unknown_activation():

@@ -158,7 +158,7 @@ def test_passing_over_zeros_changes_no_bit(sparse, dtype, monkeypatch):
         assert torch.equal(dense, passed_over)
 
 
-def test_which_kernel_serves():
+def test_the_choice_of_the_kernel():
     one_hot, dense = torch.eye(16).numpy(), torch.ones(3, 16).numpy()
     assert surrogate.surrogate_kernel((5, 4, 16), one_hot) is surrogate.surrogate_many(True)
     assert surrogate.surrogate_kernel((5, 4, 16), dense) is surrogate.surrogate_many(False)

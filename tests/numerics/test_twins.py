@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from importlib import import_module
 from pkgutil import iter_modules
 
@@ -17,9 +16,10 @@ import trl_explore.numerics.compiled
 from trl_explore.numerics import TWINS, dispatch
 from trl_explore.numerics.compiled.arrays import WIDTH, columns, dot
 from trl_explore.numerics.compiled.elementary import cos32, cos_sin, exp32, log1p32, log32, sin32
+from trl_explore.numerics.compiled.layers import relu32
 from trl_explore.numerics.compiled.philox import STATE_SIZE, begin, ndtri, random
 from trl_explore.numerics.densities import categorical_log_prob
-from trl_explore.numerics.layers import ACTIVATIONS, activate, lane_linear
+from trl_explore.numerics.layers import activate, lane_linear
 from trl_explore.numerics.returns import return_to_go
 from trl_explore.numerics.streams import Stream, generator, key
 from trl_explore.numerics.surrogate import linear_softmax_surrogate
@@ -49,12 +49,6 @@ def affine(dtype):
     return found
 
 
-def activations(dtype):
-    x = draws(200, dtype=dtype)
-    tanh, relu = (partial(activate, activation=name) for name in ACTIVATIONS)
-    return [*differentiated(tanh, x), *differentiated(relu, x)]
-
-
 def softmax(dtype):
     action = torch.arange(60) % 3
     logits = draws(60, 3, dtype=dtype)
@@ -82,7 +76,6 @@ def surrogate(dtype):
 
 OPERATIONS = {
     "layers.plain_lane_linear": affine,
-    "layers.plain_activate": activations,
     "densities.plain_categorical_log_prob": softmax,
     "returns.plain_return_to_go": returns,
     "surrogate.plain_linear_softmax_surrogate": surrogate,
@@ -91,7 +84,7 @@ OPERATIONS = {
 
 @nb.njit(error_model="numpy")
 def elementary(x, small):
-    out = np.empty((5, len(x)), np.float32)
+    out = np.empty((6, len(x)), np.float32)
     for i in range(len(x)):
         out[0, i], out[1, i] = exp32(x[i]), log32(abs(x[i]))
         out[2, i], out[3, i], out[4, i] = (
@@ -99,6 +92,7 @@ def elementary(x, small):
             cos32(small[i]),
             sin32(small[i]),
         )
+        out[5, i] = relu32(x[i])
     return out
 
 
@@ -146,10 +140,16 @@ def elementary_pairs():
     yield "numpy.log1p", found[2], np.log1p(unit)
     yield "numpy.cos", found[3], np.cos(unit)
     yield "numpy.sin", found[4], np.sin(unit)
+    yield "numpy.maximum", found[5], np.maximum(x, 0)
 
 
 def other_pairs():
     yield from elementary_pairs()
+    x = np.linspace(-1, 1, 501, dtype=np.float32)
+    y, slope = differentiated(lambda x: activate(x, "tanh"), torch.from_numpy(x))
+    weights = torch.linspace(-1, 2, len(x)).numpy()
+    yield "numpy.tanh", y.numpy(), np.tanh(x)
+    yield "numpy.tanh", slope.numpy(), weights * (1 - np.tanh(x.astype(np.float64)) ** 2)
     x = np.linspace(-0.85, 0.85, 5001)
     yield "math.cos", angles(x)[0], [math.cos(a) for a in x]
     yield "math.sin", angles(x)[1], [math.sin(a) for a in x]

@@ -38,6 +38,9 @@ claims:
     all:
       - mean: {of: {strategy: softmax, correction: none}, low: 100, high: 400}
       - not: {never_passes: {of: {strategy: softmax, correction: none}}}
+  - statement: Softmax converges earlier.
+    faster: {first: {strategy: softmax, correction: none},
+             second: {strategy: epsilon_greedy, correction: none}}
   - statement: Of nothing.
     passes: {of: argmax, below: 0.5}
   - thesis: score.softmax_passes_consistently
@@ -72,7 +75,7 @@ def test_a_study_asks_its_own_questions_and_checks_its_own_claims(study, tmp_pat
     assert [len(a.comparisons) for a in group.answered] == [2, 1]
     assert group.comparisons[0].difference.level == pytest.approx(1 - 0.1 / 3)
     assert [c.finding.verdict for c in found.checked] == [
-        HOLDS, FAILS, HOLDS, NOT_MEASURED, NOT_MEASURED
+        HOLDS, FAILS, HOLDS, HOLDS, NOT_MEASURED, NOT_MEASURED
     ]  # fmt: skip
     page, _ = build_report(asked.folders, tmp_path / "out", asked)
     html = page.read_text(encoding="utf-8")
@@ -100,12 +103,12 @@ def test_a_study_asks_its_own_questions_and_checks_its_own_claims(study, tmp_pat
         ("effect_of: strategy", "effect_of: stratgy", ["compare[0]", "'stratgy'", "correction"]),
         ("effect_of:", "effects:", ["compare[0]", "effect_of: FACTOR"]),
         ("above: 0.8", "above: 80", ["claims[0].passes.above=80", "between 0 and 1"]),
-        ("passes: {of: argmax", "pass: {of: argmax", ["claims[3]", "passes, never_passes"]),
+        ("passes: {of: argmax", "pass: {of: argmax", ["claims[4]", "passes, never_passes"]),
         ("*pilot*", "*nobody*", ["leave_out", "fits no job"]),
         ("{strategy: softmax, correction: per_step}]", "vdbe]", ["compare[1]", "'vdbe' fits 0"]),
         ("correction: per_step}]", "correction: none}]", ["compare[1]: both are the same"]),
         ("low: 100, high: 400", "low: 400, high: 100", ["high=100", "more than low=400"]),
-        ("score.softmax_passes_consistently", "nothing", ["claims[4]", "score.random_never"]),
+        ("score.softmax_passes_consistently", "nothing", ["claims[5]", "score.random_never"]),
         ("claims:", "claims: {", ["not readable as YAML"]),
         ("level:", "until: soon\nlevel:", ["until='soon'", "settled is possible"]),
         ("level:", "until: settled\nlevel:", ["until='settled'", "a sweep among"]),
@@ -198,7 +201,7 @@ def test_every_claim_of_a_study_has_a_definition(study):
     assert isinstance(asked.claims, tuple)
     claims: list[Claim] = own_claims(asked.claims, "mine")
     assert all(claim.definition.endswith(".") for claim in claims)
-    assert len(claims) == 5
+    assert len(claims) == 6
 
 
 def test_a_symbol_keeps_its_capital_within_a_sentence(tmp_path, make_job):

@@ -6,9 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import pass_rate
 from trl_explore.statistics.means import mean_difference, mean_interval, time_per_success
 from trl_explore.statistics.samples import Kind, Sample
+from trl_explore.statistics.summary import summarise_scores
 
 CAP = 1000.0
 
@@ -215,3 +217,18 @@ def test_the_interval_of_a_mean_time_has_no_negative_times():
     """Student's interval of 10 and 100 is 55 ± 12.7 · 45."""
     assert mean_interval(Sample.of([10.0, 100.0], unit="frames")).low == 0.0
     assert mean_interval(Sample.of([10.0, 100.0])).low == pytest.approx(55 - 12.706 * 45, abs=0.1)
+
+
+def test_the_interval_of_a_mean_score_keeps_to_the_range_of_the_environment(make):
+    """Student's interval of 480 and 490 is 485 ± 12.7 · 5; CartPole's scores end at 500."""
+
+    def config(name):
+        return {"env": {"id": name, "max_steps": 500}}
+
+    two = make([1000, 1000], score=[480.0, 490.0], threshold=600, config=config("CartPole-v1"))
+    e = mean_interval(samples.scores(two))
+    assert (e.low, e.high) == (pytest.approx(485 - 12.706 * 5, abs=0.1), 500)
+    one = make([1000] * 3, score=[0.9, 1.0, 1.0], threshold=2, config=config("FrozenLake8x8-v1"))
+    assert summarise_scores(samples.scores(one)).mean.high == 1.0
+    unknown = make([1000, 1000], score=[480.0, 490.0], threshold=600, config=config("My-v0"))
+    assert mean_interval(samples.scores(unknown)).high > 500

@@ -92,7 +92,7 @@ def test_learning_changes_nothing_within_an_iteration(kind):
         strategy.step(data)
 
 
-# Which collector serves them
+# Which collector supports them
 
 
 @pytest.mark.parametrize("kind", [VDBE, ParameterNoise])

@@ -1,4 +1,4 @@
-"""What the compiled collectors share: the checks of what they serve, and memory for frames."""
+"""What the compiled collectors share: the checks of what they support, and memory for frames."""
 
 from __future__ import annotations
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.jobs.reading import read_job
 from trl_explore.statistics.outcomes import Outcomes, judged
-from trl_explore.statistics.samples import SCORES
+from trl_explore.statistics.samples import score_range
 
 LONGEST, LOWEST = 1e9, -1e6
 """The objectives of a job without a result, if neither a cap nor a range of scores is known."""
@@ -89,9 +88,7 @@ def worst(config: DictConfig, direction: str) -> float:
 
 
 def _lowest(env: Any) -> float:
-    bounds = SCORES.get(str(env.get("id"))) if env else None
-    steps = env.get("max_steps") if env else None
-    lowest = bounds(float(steps or inf))[0] if bounds else -inf
+    lowest = score_range(env)[0]
     return lowest if np.isfinite(lowest) else LOWEST
 
 

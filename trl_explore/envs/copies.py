@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import signal
 from collections.abc import Callable, Sequence
-from math import isfinite
+from math import inf, isfinite
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -50,10 +50,7 @@ class Signals(NamedTuple):
     """The last outputs of the copies, one column each, in one piece of memory.
 
     Attributes:
-        observation: [n, n_features].
-        reward: [n].
-        terminated: [n].
-        truncated: [n].
+        observation: [n, n_features]; reward, terminated and truncated are [n].
         mask: [n, n_actions], False where an action is not allowed; [n, 0] if there are no masks.
     """
 
@@ -100,12 +97,13 @@ class Copies:
         self._steps: list[Callable[[Any], Any]] = []
         self._limits: list[int] = []
         self._ages: list[int] = []
-        self._rows = list(signals.observation)
+        self._rows: list[Any] = list(signals.observation)
         self._places = [(0, 0)] * len(self._rows)
         self._masked = signals.mask.shape[1]
         # Assignment to a memoryview is fast, and fails if the type or the shape differs.
-        self._views: list[Any] = [_view(row) for row in self._rows]
-        self._rewards: Any = _view(signals.reward)
+        self._views: list[Any] = [memoryview(row) for row in self._rows]
+        reward: Any = signals.reward
+        self._rewards: Any = memoryview(reward)
         if first is not None:
             self._add(first)
 
@@ -133,14 +131,9 @@ class Copies:
         self._ages.append(0)
 
     def reset(
-        self,
-        rows: Sequence[int],
-        trials: Sequence[int],
-        episodes: Sequence[int],
-        seed: int,
-        stream: Stream,
+        self, rows: Sequence[int], trials: Any, episodes: Any, seed: int, stream: Stream
     ) -> None:
-        """Begin an episode in the copies ``rows`` [m], each with its trial's random stream."""
+        """Begin the episodes [m] of the trials [m] in the copies ``rows`` [m]."""
         while (k := len(self.envs)) < len(self._rows):
             try:
                 env = self.make()
@@ -256,18 +249,14 @@ class Copies:
 
     def _reward(self, row: int, reward: Any) -> float:
         """A reward that is not a Python float, as one."""
-        number = float(reward) if type(reward) in FLOATS else None
-        zero_dimensional = type(reward) is np.ndarray and reward.shape == ()
-        if number is None and (
-            isinstance(reward, Real | np.bool_)
-            or (zero_dimensional and reward.dtype.kind in "biuf")
-        ):
-            try:
-                number = float(reward)
-            except OverflowError:
-                number = float("inf")
-        if number is None:
+        scalar = type(reward) in FLOATS or isinstance(reward, Real | np.bool_)
+        array = type(reward) is np.ndarray and reward.shape == () and reward.dtype.kind in "biuf"
+        if not (scalar or array):
             raise self._error(row, f"returned the reward {shown(reward)}, which is not a number,")
+        try:
+            number = float(reward)
+        except OverflowError:
+            number = inf
         if not -MAX_REWARD <= number <= MAX_REWARD:
             allowed = f", which is not within ±{MAX_REWARD:g}," if isfinite(number) else ""
             raise self._error(row, f"returned the reward {number}{allowed}")
@@ -300,10 +289,6 @@ class Copies:
                 f"{self._masked} actions, but returned {shown(mask)}",
             )
         self.signals.mask[row] = array
-
-
-def _view(column: Any) -> memoryview:
-    return memoryview(column)
 
 
 def _without_wrappers(env: gym.Env) -> tuple[Callable[[Any], Any], int]:

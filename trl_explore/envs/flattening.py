@@ -264,7 +264,7 @@ def _combinations(space: spaces.MultiDiscrete | spaces.MultiBinary) -> NDArray[A
     if n > MAX_JOINT_ACTIONS:
         raise UnsupportedSpaceError(
             f"action space {space} with {n} combinations, but at most {MAX_JOINT_ACTIONS} are "
-            "served; a wrapper can offer fewer (gymnasium.ActionWrapper, env.wrappers)"
+            "supported; a wrapper can offer fewer (gymnasium.ActionWrapper, env.wrappers)"
         )
     table = np.stack(np.unravel_index(np.arange(n), tuple(sizes)), axis=1)
     return (table.reshape(n, *space.shape) + start).astype(space.dtype)

@@ -196,6 +196,18 @@ def _own_names(node: ast.AST) -> list[str]:
     ]
 
 
+def time_limit(id: str, env: gym.Env, max_steps: int | None) -> int:
+    """The most steps of an episode.
+
+    Raises:
+        ValueError: if neither ``max_steps`` nor the registration says so.
+    """
+    limit = env.spec.max_episode_steps if env.spec is not None else max_steps
+    if limit is None:
+        raise ValueError(f"environment {id!r} has no registered time limit; set env.max_steps")
+    return limit
+
+
 def reward_threshold(id: str) -> float | None:
     """The mean score at which gymnasium considers an environment solved; None if not registered.
 

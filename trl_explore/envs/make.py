@@ -60,7 +60,7 @@ def make_env(
         attributes: attributes to replace after construction: constants that the constructor does
             not take. A kernel reads them from the same environment.
         wrappers: gymnasium wrappers, from the inside to the outside; each trial has its own.
-        transforms: TorchRL transforms, in this order; ``check_transforms`` says which are served.
+        transforms: TorchRL transforms, in this order; ``check_transforms`` checks them.
         stream: the random stream of each trial that the environment uses.
         workers: number of processes that step the lanes, including this one; None: one per
             processor. Results do not depend on it.

@@ -24,13 +24,15 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from trl_explore.checks import first_line
+from trl_explore.checks import check_integer, first_line
 from trl_explore.envs.copies import Copies, EnvError, Make, Signals
 from trl_explore.numerics.streams import Stream
 
+MAX_WORKERS, MIN_LANES = 256, 4
+"""Most processes, and fewest lanes of each if their number is chosen automatically."""
 BOOT = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from trl_explore.envs.processes import serve; serve()"
+    "from trl_explore.envs.processes import run_worker; run_worker()"
 )
 
 
@@ -64,12 +66,7 @@ class ProcessCopies(Copies):
         self._processes: list[_Process] = []
 
     def reset(
-        self,
-        rows: Sequence[int],
-        trials: Sequence[int],
-        episodes: Sequence[int],
-        seed: int,
-        stream: Stream,
+        self, rows: Sequence[int], trials: Any, episodes: Any, seed: int, stream: Stream
     ) -> None:
         """``Copies.reset``."""
         self._call("reset", rows, (np.asarray(trials), np.asarray(episodes)), (seed, stream))
@@ -129,6 +126,20 @@ class ProcessCopies(Copies):
         """Close every copy and end the processes."""
         super().close()
         self._end()
+
+
+def worker_count(workers: int | None, lanes: int) -> int:
+    """The number of processes that step the lanes; None: one per processor."""
+    if workers is None:
+        return max(1, min(processors(), lanes // MIN_LANES))
+    return min(check_integer("workers", workers, 1, MAX_WORKERS), lanes)
+
+
+def processors() -> int:
+    """The number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _memory_file() -> int:
@@ -216,7 +227,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def serve() -> None:
+def run_worker() -> None:
     """Main program of a worker process: requests on standard input, answers on standard output."""
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # an environment's output must not mix with the answers

@@ -18,7 +18,7 @@ GYMNASIUM = seeding.np_random
 class Source:
     """The random numbers of one environment, a function of (seed, stream, trial, episode).
 
-    Environments draw random numbers in three ways, and each is served:
+    Environments draw random numbers in three ways, all of them supported:
 
     * from ``np_random``, as gymnasium's own environments do. It is ``generator(seed, stream, trial,
       episode)``, the stream that a kernel uses too.

@@ -20,7 +20,7 @@ from trl_explore.checks import first_line
 class TorchRLEnv(gym.Env[Any, Any]):
     """A TorchRL environment of batch size [] or [1] as a gymnasium environment.
 
-    One environment serves one trial: a batch of environments in one object would share its random
+    One environment is for one trial: a batch of environments in one object would share its random
     numbers between the trials. ``reset(seed=...)`` calls ``set_seed``. The observation is the only
     entry of ``observation_spec``, or a Dict of all of them.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -19,13 +18,9 @@ from numpy.typing import NDArray
 from trl_explore.checks import LARGEST, check_integer
 from trl_explore.envs.copies import Copies, EnvError, Make, Signals
 from trl_explore.envs.flattening import Actions, UnsupportedSpaceError, flat_observations
-from trl_explore.envs.gym import make_gym
-from trl_explore.envs.processes import ProcessCopies
+from trl_explore.envs.gym import make_gym, time_limit
+from trl_explore.envs.processes import ProcessCopies, worker_count
 from trl_explore.numerics.streams import Stream, generator
-
-MAX_WORKERS = 256
-MIN_LANES = 4
-"""Fewest lanes per process if the number of processes is chosen automatically."""
 
 
 class LaneVectorEnv(VectorEnv):
@@ -47,7 +42,6 @@ class LaneVectorEnv(VectorEnv):
 
     Args:
         num_envs: number of lanes; the other arguments are those of ``make_env``.
-        workers: None: one per processor, with at least ``MIN_LANES`` lanes each.
 
     Raises:
         ValueError: if an argument is invalid; later, if an observation, a reward or an action is
@@ -72,17 +66,14 @@ class LaneVectorEnv(VectorEnv):
         check_integer("num_envs", num_envs, 1)
         check_integer("first_trial", first_trial, 0, LARGEST - num_envs)
         check_integer("seed", seed, 0)
-        self.workers = _workers(workers, num_envs)
+        self.workers = worker_count(workers, num_envs)
         make = partial(
             make_gym, id, max_steps, dict(kwargs or {}), dict(attributes or {}), tuple(wrappers)
         )
         self.make = make
         # A collector that compiles the environment never steps the lanes: build them on first use.
         env = make()
-        limit = env.spec.max_episode_steps if env.spec is not None else max_steps
-        if limit is None:
-            raise ValueError(f"environment {id!r} has no registered time limit; set env.max_steps")
-        self.id, self.max_steps = id, limit
+        self.id, self.max_steps = id, time_limit(id, env, max_steps)
         self.num_envs = num_envs
         self.spec = env.spec
         self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.DISABLED}
@@ -234,20 +225,6 @@ class LaneVectorEnv(VectorEnv):
     def close_extras(self, **kwargs: Any) -> None:
         """Close every lane."""
         self._copies.close()
-
-
-def _workers(workers: int | None, lanes: int) -> int:
-    """The number of processes that step the lanes."""
-    if workers is None:
-        return max(1, min(processors(), lanes // MIN_LANES))
-    return min(check_integer("workers", workers, 1, MAX_WORKERS), lanes)
-
-
-def processors() -> int:
-    """The number of processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _has_masks(id: str, make: Make, n_features: int, trial: int) -> bool:

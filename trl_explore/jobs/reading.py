@@ -81,6 +81,8 @@ def read_run(job: Path) -> dict[str, Any]:
         _check(run["config"], {k: f for k, f in OPTIONAL_FIELDS.items() if k in run["config"]})
     except FileNotFoundError:
         raise ResultsError(f"{job}: not a finished job ({RUN} is missing)") from None
+    except PermissionError as error:
+        raise ResultsError(f"cannot read {job / RUN}: {error.strerror}") from None
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise ResultsError(f"{job / RUN}: not a valid record of a job ({reason})") from None
@@ -165,6 +167,9 @@ def find_folders(folder: Path) -> list[tuple[Path, bool]]:
     """The folders of all jobs at or below ``folder``, sorted, and whether each is finished.
 
     Hidden folders and links to folders are skipped: a link may lead anywhere.
+
+    Raises:
+        ResultsError: if a folder cannot be read.
     """
     found: list[tuple[Path, bool]] = []
     below = [folder]
@@ -173,8 +178,10 @@ def find_folders(folder: Path) -> list[tuple[Path, bool]]:
         try:
             with os.scandir(place) as entries:
                 names = {e.name: e.is_dir(follow_symlinks=False) for e in entries}
-        except OSError:
+        except FileNotFoundError:  # removed meanwhile
             continue
+        except OSError as error:
+            raise ResultsError(f"cannot read {place}: {error.strerror}") from None
         if names.keys() & {RUN, ".hydra", TRIALS}:
             found.append((place, RUN in names))
         below += [

@@ -155,7 +155,7 @@ def survey(folders: Iterable[Path]) -> list[SweepStatus]:
     """The sweeps at or below the folders; the folder of a job gives a sweep with only this job.
 
     Raises:
-        ResultsError: if a folder does not exist, or holds no job.
+        ResultsError: if a folder does not exist, cannot be read, or holds no job.
     """
     found: dict[Path, dict[str, JobStatus]] = {}
     for folder in folders:
@@ -189,7 +189,11 @@ def _sweeps(folder: Path) -> Iterator[tuple[Path, list[JobStatus]]]:
 
 
 def _subfolders(folder: Path) -> list[str]:
-    """The folders in a folder, without hidden folders and links, which may lead anywhere."""
+    """The folders in a folder, without hidden folders and links, which may lead anywhere.
+
+    Raises:
+        ResultsError: if the folder cannot be read.
+    """
     try:
         with os.scandir(folder) as entries:
             return sorted(
@@ -197,8 +201,10 @@ def _subfolders(folder: Path) -> list[str]:
                 for entry in entries
                 if not entry.name.startswith(".") and entry.is_dir(follow_symlinks=False)
             )
-    except OSError:
+    except FileNotFoundError:  # removed meanwhile
         return []
+    except OSError as error:
+        raise ResultsError(f"cannot read {folder}: {error.strerror}") from None
 
 
 def _with_failure(job: JobStatus, failures: dict[str, str]) -> JobStatus:
@@ -209,13 +215,13 @@ def _with_failure(job: JobStatus, failures: dict[str, str]) -> JobStatus:
 
 def _job(folder: Path) -> JobStatus | None:
     """The state of a job; None if the folder is not that of a job."""
-    run = _json(folder / RUN)
-    if run is not None:
-        return _described(folder.name, DONE, run)
     try:
         names = {path.name for path in folder.iterdir()}
+        finished = (folder / RUN).is_file()
     except OSError:
         return None
+    if finished:
+        return _described(folder.name, DONE, _json(folder / RUN) or {})
     if not names & MARKS or names & {SWEEP, MULTIRUN}:
         return None
     state = RUNNING if is_locked(folder) else CUT

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from trl_explore.numerics.dispatch import check_frames, compiled, serves
+from trl_explore.numerics.dispatch import check_frames, compiled, supports
 
 LOG_SQRT_2PI = 0.5 * math.log(2 * math.pi)
 
@@ -35,7 +35,7 @@ def categorical_log_prob(logits: Tensor, action: Tensor) -> Tensor:
         tensor([0.5000])
     """
     check_frames(logits.shape[:-1], action=action)
-    if not serves(logits):
+    if not supports(logits):
         return plain_categorical_log_prob(logits, action)
     flat: Any = _CategoricalLogProb.apply(
         logits.reshape(-1, logits.shape[-1]).contiguous(), action.reshape(-1).long().contiguous()

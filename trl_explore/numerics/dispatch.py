@@ -30,12 +30,12 @@ def compiled(name: str) -> Any:
     """The module ``name`` of ``numerics.compiled``, imported on first use.
 
     Raises:
-        ImportError: if numba is missing; call ``serves`` first.
+        ImportError: if numba is missing; call ``supports`` first.
     """
     return import_module(f"trl_explore.numerics.compiled.{name}")
 
 
-def serves(first: Tensor, *others: Tensor) -> bool:
+def supports(first: Tensor, *others: Tensor) -> bool:
     """Whether compiled code supports these tensors: on the CPU, all float32 or all float64."""
     dtype = first.dtype
     if not first.is_cpu or (dtype is not torch.float32 and dtype is not torch.float64):

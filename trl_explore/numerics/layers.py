@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from trl_explore.numerics.dispatch import check_frames, compiled, serves
+from trl_explore.numerics.dispatch import check_frames, compiled, supports
 
 ACTIVATIONS = ("tanh", "relu")
 
@@ -51,7 +51,7 @@ def lane_linear(x: Tensor, weight: Tensor, trial: Tensor, bias: Tensor | None = 
             f"the bias has shape {list(bias.shape)}, but the weights have {list(weight.shape)}"
         )
     given = [weight] if bias is None else [weight, bias]
-    if not serves(x, *given):
+    if not supports(x, *given):
         return plain_lane_linear(x, weight, trial, bias)
     rows = x.reshape(-1, x.shape[-1]).contiguous(), weight, trial.reshape(-1).contiguous(), bias
     differentiate = torch.is_grad_enabled() and any(t.requires_grad for t in (x, *given))
@@ -153,18 +153,13 @@ def activate(x: Tensor, activation: str) -> Tensor:
         [0.0, 2.0]
     """
     check_activation(activation)
-    if not serves(x):
-        return plain_activate(x, activation)
+    if activation == "relu":
+        return torch.relu(x)
+    if x.dtype != torch.float32 or not supports(x):
+        return torch.tanh(x)
     flat = x.reshape(-1).contiguous()
-    if torch.is_grad_enabled() and x.requires_grad:
-        out: Any = _Activate.apply(flat, activation)
-        return out.reshape(x.shape)
-    return _activation(flat, activation).reshape(x.shape)
-
-
-def plain_activate(x: Tensor, activation: str) -> Tensor:
-    """``activate`` in torch, for any device and dtype."""
-    return torch.tanh(x) if activation == "tanh" else torch.relu(x)
+    out: Any = _Tanh.apply(flat) if torch.is_grad_enabled() and x.requires_grad else _tanh(flat)
+    return out.reshape(x.shape)
 
 
 def check_activation(activation: str) -> str:
@@ -178,26 +173,23 @@ def check_activation(activation: str) -> str:
     return activation
 
 
-def _activation(x: Tensor, activation: str) -> Tensor:
-    y, kernels = torch.empty_like(x), compiled("layers")
-    tanh = kernels.tanh_single if x.dtype == torch.float32 else kernels.tanh_double
-    (tanh if activation == "tanh" else kernels.relu)(x.detach().numpy(), y.numpy())
+def _tanh(x: Tensor) -> Tensor:
+    y = torch.empty_like(x)
+    compiled("layers").tanh(x.detach().numpy(), y.numpy())
     return y
 
 
-class _Activate(torch.autograd.Function):
+class _Tanh(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, x: Tensor, activation: str) -> Tensor:
-        y = _activation(x, activation)
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        y = _tanh(x)
         ctx.save_for_backward(y)
-        ctx.activation = activation
         return y
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
+    def backward(ctx: Any, grad: Tensor) -> Tensor:
         (y,) = ctx.saved_tensors
-        out, kernels = torch.empty_like(y), compiled("layers")
-        slope = kernels.tanh_backward if ctx.activation == "tanh" else kernels.relu_backward
-        slope(y.numpy(), grad.contiguous().numpy(), out.numpy())
-        return out, None
+        out = torch.empty_like(y)
+        compiled("layers").tanh_backward(y.numpy(), grad.contiguous().numpy(), out.numpy())
+        return out

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from trl_explore.numerics.dispatch import check_frames, compiled, serves
+from trl_explore.numerics.dispatch import check_frames, compiled, supports
 
 
 def return_to_go(reward: Tensor, done: Tensor, gamma: float, trial: Tensor | None = None) -> Tensor:
@@ -40,7 +40,7 @@ def return_to_go(reward: Tensor, done: Tensor, gamma: float, trial: Tensor | Non
                 f"with trial, reward must have one dimension, got {list(reward.shape)}"
             )
         check_frames(reward.shape, trial=trial)
-    if serves(reward):
+    if supports(reward):
         if trial is None:
             rows = torch.arange(reward.shape[:-1].numel()).unsqueeze(-1)
             trial = rows.expand(-1, reward.shape[-1]).reshape(-1)

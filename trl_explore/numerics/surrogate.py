@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from trl_explore.numerics.densities import categorical_log_prob
-from trl_explore.numerics.dispatch import check_frames, compiled, serves
+from trl_explore.numerics.dispatch import check_frames, compiled, supports
 from trl_explore.numerics.layers import lane_linear, lane_sum
 
 NOTHING = np.zeros(0, dtype=np.bool_)
@@ -46,7 +46,7 @@ def linear_softmax_surrogate(
         >>> (total / torch.tensor(0.5).log()).tolist()
         [2.0, 1.0]
     """
-    if not formula_serves(observation, weight, advantage):
+    if not formula_applies(observation, weight, advantage):
         _check(observation, weight, action, advantage, trial)
         return plain_linear_softmax_surrogate(observation, weight, action, advantage, trial)
     total: Any = _LinearSoftmaxSurrogate.apply(observation, weight, action, advantage, trial)
@@ -80,9 +80,9 @@ class _LinearSoftmaxSurrogate(torch.autograd.Function):
         return None, grad.reshape(-1, 1, 1) * ctx.gradient, None, None, None
 
 
-def formula_serves(observation: Tensor, weight: Tensor, advantage: Tensor) -> bool:
+def formula_applies(observation: Tensor, weight: Tensor, advantage: Tensor) -> bool:
     """Whether ``linear_softmax_gradient`` applies: compiled code, no gradient of observations."""
-    return serves(observation, weight, advantage) and not observation.requires_grad
+    return supports(observation, weight, advantage) and not observation.requires_grad
 
 
 def linear_softmax_gradient(
@@ -96,7 +96,7 @@ def linear_softmax_gradient(
     """S and ∂S/∂W [trials, n_actions, n_features] of this surrogate, without autograd.
 
     Both are multiplied by ``scale``, in the precision of the weights. Arguments and errors are
-    those of ``linear_softmax_surrogate``. Call it only if ``formula_serves`` is true.
+    those of ``linear_softmax_surrogate``. Call it only if ``formula_applies`` is true.
 
     Example:
         >>> x, w, one = torch.ones(1, 1), torch.zeros(1, 2, 1), torch.tensor([1])
@@ -162,16 +162,8 @@ def linear_softmax_reinforce(
 
     It computes the returns with the same operations as ``return_to_go``.
 
-    Args:
-        observation: x [frames, n_features].
-        weight: W [trials, n_actions, n_features].
-        action: a [frames] int64.
-        reward: r [frames].
-        done: whether the frame is the last of its episode [frames].
-        trial: [frames] int64.
-        gamma: discount γ.
-        baseline: b.
-        scale: a factor of S and its gradient.
+    Args and errors are those of ``linear_softmax_gradient``, with reward r and done [frames],
+    discount γ and baseline b in place of A.
 
     Returns:
         S and its gradient; None if the trials are not in ascending order, an index is out of

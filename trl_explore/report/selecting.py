@@ -1,6 +1,6 @@
 """Which configurations a study means, the questions that it asks of them, and its claims.
 
-Claims are decided in the algebra of verdicts of ``thesis.rules``. A claim has a ``statement`` and
+Claims are decided in the ``thesis.algebra``. A claim has a ``statement`` and
 one rule: a key of ``RULES``, ``all`` or ``any`` with a list of rules, or ``not`` with one.
 ``{thesis: ID}`` is a statement of the thesis.
 """
@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
-from functools import partial
 from typing import Any
 
 from trl_explore.jobs.columns import ResultsError
@@ -19,11 +18,12 @@ from trl_explore.report.factors import Factor, arguments, canonical, class_words
 from trl_explore.report.groups import Group
 from trl_explore.report.loading import Job
 from trl_explore.report.questions import Block, Question, ask, differing
-from trl_explore.report.study_file import MEASURES, RULES, Effect, Selector, StudyFile
+from trl_explore.report.study_file import MEASURES, Effect, Selector, StudyFile
 from trl_explore.report.tables import some
 from trl_explore.statistics.outcomes import Outcomes, judged
 from trl_explore.statistics.pairing import AGENT_GROUPS, configuration_key, deduplicate, pool
-from trl_explore.thesis import CLAIMS, Claim, Finding, NotMeasuredError, Study, rules
+from trl_explore.thesis import CLAIMS, Claim, NotMeasuredError, Study
+from trl_explore.thesis.algebra import RULES, decision
 
 ENVIRONMENT = ("env", "environment")
 """What a study calls the environment, which is no factor: environments are never compared."""
@@ -214,49 +214,14 @@ def own_claims(entries: Sequence[Mapping[str, Any]], place: str) -> list[Claim]:
                 statement=str(entry["statement"]),
                 place=str(entry.get("place", place)),
                 definition=definition,
-                decide=partial(_decide, name, entry[name]),
+                decide=decision({name: entry[name]}, _find),
             )
         )
     return found
 
 
-def _decide(name: str, value: Any, study: Study) -> Finding:
-    return _rule(name, value, study)(study.level)
-
-
-def _rule(name: str, value: Any, study: Study) -> rules.Rule:
-    """The rule of one entry; NotMeasuredError if a configuration is missing."""
-    if name in ("all", "any"):
-        parts = [_rule(key, part[key], study) for part in value for key in part]
-        return rules.any_of(parts) if name == "any" else lambda level: rules.all_of(parts, level)
-    if name == "not":
-        ((key, part),) = value.items()
-        return rules.contrary(_rule(key, part, study))
-    unit = value.get("measure", "iterations")
-    unit = 0.0 if unit == "frames" else unit
-    if name in ("less", "ratio"):
-        first, second = (
-            study.sample(_find(study, value[key]), unit, selector_words(value[key]))
-            for key in ("first", "second")
-        )
-        if name == "less":
-            return rules.mean_less(first, second)
-        what = f"{first.label} to {second.label}: ratio of the means"
-        return rules.mean_ratio(first, second, value["low"], value["high"], what)
-    o, what = _find(study, value["of"]), selector_words(value["of"])
-    if name == "mean":
-        sample = study.sample(o, unit, what)
-        return rules.mean_within(sample, value["low"], value["high"], f"{what}: mean")
-    done = f"{what} trials {'learned' if study.measure == 'learned' else 'pass'}"
-    if name == "passes":
-        return rules.passing(o, done, **{k: v for k, v in value.items() if k != "of"})
-    passed = int(o.converged.sum())
-    if name == "never_passes":
-        return rules.never(passed, len(o), done)
-    return rules.never(len(o) - passed, len(o), f"{what} trials fail")
-
-
-def _find(study: Study, selector: Selector) -> Outcomes:
+def _find(study: Study, selector: Selector) -> dict[str, Outcomes]:
+    """Label -> the one configuration that a selector fits."""
     found: dict[str, list[Outcomes]] = {}
     for o in study.outcomes:
         if fits(o, selector):
@@ -266,7 +231,7 @@ def _find(study: Study, selector: Selector) -> Outcomes:
         fitting = f"{selector_words(selector)} fits {len(found)} configurations ({names})"
         raise NotMeasuredError(f"{fitting}; it must fit one")
     try:
-        return pool(deduplicate(next(iter(found.values()))))
+        return {selector_words(selector): pool(deduplicate(next(iter(found.values()))))}
     except ValueError as error:
         raise NotMeasuredError(str(error)) from None
 
@@ -286,5 +251,6 @@ def _definition(name: str, value: Any) -> str:
     whom = " and ".join(selector_words(value[k]) for k in ("of", "first", "second") if k in value)
     what = {"passes": "Share of trials that pass", "never_passes": "Fewer than 1 % pass",
             "always_passes": "More than 99 % pass", "ratio": f"Ratio of the mean {unit}",
-            "mean": f"Mean {unit}"}[name]  # fmt: skip
+            "mean": f"Mean {unit}",
+            "faster": "The first converges earlier in most trials"}[name]  # fmt: skip
     return f"{what} ({whom}){': ' if bounds else ''}{', '.join(bounds)}."

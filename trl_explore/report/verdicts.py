@@ -9,8 +9,7 @@ from trl_explore.report.evidence import Evidence
 from trl_explore.report.results_tables import crossed_table
 from trl_explore.report.tables import Column, Record, Table
 from trl_explore.statistics.power import trials_text
-from trl_explore.thesis import Checked
-from trl_explore.thesis.reexamined import Reexamined
+from trl_explore.thesis import Checked, Reexamined
 
 VERDICTS: Mapping[str, tuple[str, str]] = {
     "holds": ("hold", "holds"),

@@ -8,7 +8,7 @@ same and can be tested.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import floor, hypot, inf, log10, sqrt
 from typing import Any
 
@@ -50,6 +50,10 @@ class Estimate:
     def outside(self, low: float, high: float) -> bool:
         """Whether the interval and the range [low, high] have no point in common."""
         return self.below(low) or self.above(high)
+
+    def within(self, least: float, most: float) -> Estimate:
+        """The estimate of a quantity that lies in [least, most]: the interval is cut off there."""
+        return replace(self, low=max(self.low, least), high=min(self.high, most))
 
 
 def check_level(level: float) -> None:

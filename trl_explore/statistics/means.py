@@ -84,6 +84,8 @@ class MeanDifference:
 def mean_interval(sample: Sample, *, level: float = LEVEL) -> Estimate:
     """Mean of a sample with its interval, which allows for failures that were not seen.
 
+    The interval keeps to what is possible: no negative times, no scores beyond the sample's bounds.
+
     NaN bounds for a single trial.
 
     >>> e = mean_interval(Sample.of([100.0] * 30, [False] * 30, least=1000.0, most=1000.0))
@@ -102,7 +104,7 @@ def mean_interval(sample: Sample, *, level: float = LEVEL) -> Estimate:
         low = max(low, 0.0)
     if sample.cap is not None:
         high = min(high, sample.cap)
-    return Estimate(value, low, high, level)
+    return Estimate(value, low, high, level).within(*sample.bounds)
 
 
 @dataclass(frozen=True)

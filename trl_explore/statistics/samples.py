@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
@@ -42,6 +43,7 @@ class Sample:
         converged: whether each trial converged, [n].
         keys: (seed, trial) of each value; equal keys form pairs.
         kinds: the rare kinds, the failed trials first; empty: all trials are of one kind.
+        bounds: what no value can be below or above.
     """
 
     label: str
@@ -50,6 +52,7 @@ class Sample:
     converged: NDArray[np.bool_]
     keys: tuple[Key, ...]
     kinds: tuple[Kind, ...] = ()
+    bounds: tuple[float, float] = (-inf, inf)
 
     def __post_init__(self) -> None:
         sizes = {len(self.values), len(self.converged), len(self.keys)}
@@ -124,7 +127,9 @@ class Sample:
             replace(k, least=factor * (k.least - shift), most=factor * (k.most - shift))
             for k in self.kinds
         )
-        return replace(self, values=factor * (self.values - shift), kinds=kinds)
+        low, high = (factor * (bound - shift) for bound in self.bounds)
+        values = factor * (self.values - shift)
+        return replace(self, values=values, kinds=kinds, bounds=(low, high))
 
 
 def iterations(o: Outcomes, label: str = "") -> Sample:
@@ -165,26 +170,40 @@ def scores(o: Outcomes, label: str = "") -> Sample:
     """
     score = np.asarray(o.score, dtype=np.float64)
     converged, known = np.asarray(o.converged, dtype=bool), np.isfinite(score)
-    bounds, steps = SCORES.get(str(_environment(o).get("id"))), _environment(o).get("max_steps")
-    least, most = bounds(float(steps or inf)) if bounds else (-inf, inf)
+    least, most = score_range(o.config.get("env"))
     highest = float(score[~converged & known].max(initial=o.threshold))
     kinds = [Kind(~converged, least, highest)]
     per_update = o.config.get("episodes_per_update", 1)
     if o.judged_by == "training" and isinstance(per_update, int):
         first = converged & (o.iterations * per_update < o.window + per_update)
         kinds.append(Kind(first, o.threshold, most))
-    return _sample(o, label, "", np.where(known, score, 0.0), kinds).at(np.flatnonzero(known))
+    found = _sample(o, label, "", np.where(known, score, 0.0), kinds)
+    return replace(found, bounds=(least, most)).at(np.flatnonzero(known))
+
+
+def score_range(env: Any) -> tuple[float, float]:
+    """The least and the highest score of an episode in a configured environment.
+
+    Infinite for environments that are not in ``SCORES``.
+    """
+    if not isinstance(env, Mapping):
+        return -inf, inf
+    bounds, steps = SCORES.get(re.sub(r"-v\d+$", "", str(env.get("id")))), env.get("max_steps")
+    return bounds(float(steps or inf)) if bounds else (-inf, inf)
 
 
 SCORES: Mapping[str, Callable[[float], tuple[float, float]]] = {
-    "CartPole-v1": lambda steps: (0.0, steps),
-    "FrozenLake-v1": lambda steps: (0.0, 1.0),
-    "Acrobot-v1": lambda steps: (-steps, 0.0),
-    "MountainCar-v0": lambda steps: (-steps, 0.0),
-    "CliffWalking-v1": lambda steps: (-100.0 * steps, 0.0),
-    "Taxi-v3": lambda steps: (-10.0 * steps, 20.0),
+    "CartPole": lambda steps: (0.0, steps),
+    "FrozenLake": lambda steps: (0.0, 1.0),
+    "FrozenLake8x8": lambda steps: (0.0, 1.0),
+    "Acrobot": lambda steps: (-steps, 0.0),
+    "MountainCar": lambda steps: (-steps, 0.0),
+    "CliffWalking": lambda steps: (-100.0 * steps, 0.0),
+    "Taxi": lambda steps: (-10.0 * steps, 20.0),
+    "trl_explore/Catch": lambda steps: (-1.0, 1.0),
+    "trl_explore/SparseMountainCar": lambda steps: (0.0, 1.0),
 }
-"""Environment -> the range of scores of an episode with a number of steps (gymnasium)."""
+"""Environment, in any version -> the range of scores of an episode with a number of steps."""
 
 
 def common_trials(a: Sample, b: Sample) -> tuple[Sample, Sample, bool]:

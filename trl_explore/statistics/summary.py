@@ -82,7 +82,7 @@ def summarise_scores(
         n=len(values),
         missing=missing,
         mean=mean_interval(scores, level=level),
-        iqm=interquartile_mean(values, level=level),
+        iqm=interquartile_mean(values, level=level).within(*scores.bounds),
         sd=float(values.std(ddof=1)) if len(values) > 1 else np.nan,
         quantiles=np.quantile(values, QUANTILES),
     )

@@ -184,28 +184,39 @@ class Strategy(BaseStrategy):
             probs, dim = probs.movedim(-1, 0), 0
         cdf = probs.cumsum(dim, dtype=torch.float64)
         total = cdf.select(dim, -1)
-        self._check(total, 0.0, logits, tensordict)
-        action = (cdf <= (noise * total).unsqueeze(dim)).sum(dim)  # 0 for NaN
-        return action, probs.gather(dim, action.unsqueeze(dim)).select(dim, 0)
+        sound = self._check(total, 0.0, logits, tensordict)
+        point = (noise * total).unsqueeze(dim)
+        if sound and dim == -1:
+            action = torch.searchsorted(cdf, point, right=True)
+        else:
+            action = (cdf <= point).sum(dim, keepdim=True)  # 0 for NaN
+        return action.squeeze(dim), probs.gather(dim, action).squeeze(dim)
 
-    def _check(self, found: Tensor, low: float, logits: Tensor, tensordict: TensorDictBase) -> None:
-        """Refuse a state without an action to draw, whose ``found`` is not above ``low``."""
+    def _check(self, found: Tensor, low: float, logits: Tensor, tensordict: TensorDictBase) -> bool:
+        """Refuse a state without an action to draw, whose ``found`` is not above ``low``.
+
+        Returns:
+            Whether ``found`` was read, and is above ``low`` in all states.
+        """
         if not self.validate_args or not found.numel():
-            return
+            return False
         if torch.compiler.is_compiling() or not found.is_cpu:
             message = "a state has no allowed action with a finite logit"
             cast(Any, torch)._assert_async((found > low).all(), message)
-        elif not is_batchedtensor(found) and not found.min().item() > low:
-            bad = ~(found.reshape(logits.shape[:-1]) > low) & ~logits.isnan().any(-1)
-            mask = tensordict.get(self.action_mask_key, None)
-            if mask is not None and not mask.bool().any(-1).all():
-                raise ValueError("the action mask forbids every action of a state")
-            # Our trainer stops a trial that diverges, and goes on with the others.
-            if bad.any() and not self._trained_here:
-                raise ValueError(
-                    f"a state has no allowed action with a finite logit: in {self.logits_key!r} "
-                    "every action that the mask allows has -inf, or one has inf"
-                )
+            return False
+        if is_batchedtensor(found) or found.min().item() > low:
+            return not is_batchedtensor(found)
+        bad = ~(found.reshape(logits.shape[:-1]) > low) & ~logits.isnan().any(-1)
+        mask = tensordict.get(self.action_mask_key, None)
+        if mask is not None and not mask.bool().any(-1).all():
+            raise ValueError("the action mask forbids every action of a state")
+        # Our trainer stops a trial that diverges, and goes on with the others.
+        if bad.any() and not self._trained_here:
+            raise ValueError(
+                f"a state has no allowed action with a finite logit: in {self.logits_key!r} "
+                "every action that the mask allows has -inf, or one has inf"
+            )
+        return False
 
     def log_prob(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
         """Log μ(a|s) [*batch] in the current iteration.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
@@ -61,7 +62,11 @@ class MixtureFamily(BaseStrategy):
     def on_policy(self) -> bool | NDArray[np.bool_]:
         """Whether μ = π: the mixture is the policy alone, at T = 1."""
         mixed = self.mixes_policy and holds(self, "mixes_policy", self.REPLACED)
-        return mixed and is_policy_alone(*numbers(self.mixture()))
+        if not mixed:
+            return False
+        certain, _, uniform, temperature = numbers(self.mixture())
+        found = np.equal(certain, 0) & np.equal(uniform, 0) & np.equal(temperature, 1)
+        return found if isinstance(found, np.ndarray) else bool(found)
 
     def checked_mixture(self, trials: int) -> Any:
         """The mixture of the current iteration as numbers, checked for ``trials`` trials.
@@ -88,21 +93,6 @@ class MixtureFamily(BaseStrategy):
         return point
 
 
-def is_policy_alone(
-    certain: Value, policy: Value, uniform: Value, temperature: Value
-) -> bool | NDArray[np.bool_]:
-    """Whether a mixture of numbers is the policy at T = 1; one value, or one per trial.
-
-    Example:
-        >>> is_policy_alone(0.0, 1.0, 0.0, 1.0), is_policy_alone(1.0, 0.0, 0.0, 1.0)
-        (True, False)
-        >>> is_policy_alone(0.0, 1.0, 0.0, np.array([1.0, 0.5]))
-        array([ True, False])
-    """
-    found = np.equal(certain, 0) & np.equal(uniform, 0) & np.equal(temperature, 1)
-    return found if isinstance(found, np.ndarray) else bool(found)
-
-
 class MixtureStrategy(MixtureFamily, Strategy):
     """A mixture of argmax, softmax and uniform.
 
@@ -124,10 +114,6 @@ class MixtureStrategy(MixtureFamily, Strategy):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         settle(cls, "compilable", False, cls.REPLACED)
-
-    @abstractmethod
-    def mixture(self) -> Mixture:
-        """Weights and temperature in the current iteration."""
 
     def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
         """The parameters with which the policy's logits equal the strategy's ``preferences``.
@@ -156,67 +142,67 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
         >>> mixture_probs(torch.tensor([0.0, 4.0, -1.0, 4.0]), Mixture(greedy=0.8, uniform=0.2))
         tensor([0.0500, 0.4500, 0.0500, 0.4500])
     """
-    limits = torch.finfo(logits.dtype)
-    greedy, soft, uniform = map(present, mixture[:3])
-    if not soft:
+    limits, (greedy, soft, uniform, temperature) = torch.finfo(logits.dtype), mixture
+    if not present(soft):
         logits = actions_outermost(logits)
-    largest, found = logits.amax(-1, keepdim=True), None
-    if soft:
-        # To avoid overflow, subtract the maximum first and keep T within the dtype's range.
-        exponent, temperature = logits - largest, mixture.temperature
-        if isinstance(temperature, Tensor):
-            exponent = exponent / temperature.clamp(limits.tiny, limits.max)
-        elif temperature != 1:
-            exponent = exponent / min(max(float(temperature), limits.tiny), limits.max)
-        power = exponent.exp()
-        found = power / power.sum(-1, keepdim=True)
-        found = found if is_one(mixture.softmax) else found * cast(Tensor, mixture.softmax)
-    each = _number_of_all(logits, mixture.uniform) if greedy or uniform else 0.0
-    if greedy:
-        # A row of −∞ has no best action; the other parts find that by themselves.
-        best = logits >= (largest if soft or uniform else largest.clamp(min=limits.min))
-        weight = mixture.greedy
-        if each is None or not isinstance(weight, float) or _have_ties(best):
-            found = _plus_share(found, best, logits.dtype, weight)
-        elif found is not None:
-            found = torch.add(found, best, alpha=weight)
-        else:
-            highest = _number_like(logits)(weight) + _number_like(logits)(each)
-            return torch.full_like(logits, each).masked_fill_(best, float(highest))
-    if not uniform:
+    ordered = present(greedy) or present(soft)
+    largest = logits.amax(-1, keepdim=True) if ordered else logits
+    found = None
+    if present(greedy) or present(uniform):
+        found = _shares(logits, largest, greedy, uniform)
+    if not present(soft):
         return torch.zeros_like(logits) if found is None else found
-    if each is None:
-        return _plus_share(found, logits >= limits.min, logits.dtype, mixture.uniform)
-    return torch.full_like(logits, each) if found is None else found + each
+    # To avoid overflow, subtract the maximum first and keep T within the dtype's range.
+    exponent = logits - largest
+    if isinstance(temperature, Tensor):
+        exponent = exponent / temperature.clamp(limits.tiny, limits.max)
+    elif temperature != 1:
+        exponent = exponent / min(max(float(temperature), limits.tiny), limits.max)
+    power = exponent.exp()
+    total = power.sum(-1, keepdim=True)
+    if isinstance(soft, float) and found is not None:
+        return torch.addcdiv(found, power, total, value=soft)
+    power = (power * cast(Tensor, soft) if isinstance(soft, Tensor) or soft != 1 else power) / total
+    return power if found is None else found + power
 
 
-def _number_of_all(logits: Tensor, weight: Value | Tensor) -> float | None:
-    """Each action's part of a weight that all share; None if a logit is −∞, NaN or not readable."""
-    plain = isinstance(weight, float) and logits.numel() > 0 and readable(logits)
-    if not (plain and logits.amin().item() >= torch.finfo(logits.dtype).min):
-        return None
-    number = _number_like(logits)
-    return float(number(1) / number(logits.shape[-1]) * number(weight))
-
-
-def _number_like(logits: Tensor) -> type[np.floating]:
-    """The numbers of numpy that round as the logits."""
-    return np.float32 if logits.dtype is torch.float32 else np.float64
-
-
-def _have_ties(best: Tensor) -> bool:
-    """Whether a row has more than one best action, if every row has one [*batch, n_actions]."""
-    return best.count_nonzero().item() * best.shape[-1] != best.numel()
-
-
-def _plus_share(
-    found: Tensor | None, members: Tensor, dtype: torch.dtype, weight: Value | Tensor
+def _shares(
+    logits: Tensor, largest: Tensor, greedy: Value | Tensor, uniform: Value | Tensor
 ) -> Tensor:
-    """``found`` plus a weight that some of the actions share equally."""
+    """The weight of argmax among the actions of largest logit plus that of uniform among all."""
+    lowest = torch.finfo(logits.dtype).min
+    plain = isinstance(greedy, float) and isinstance(uniform, float) and readable(logits)
+    if plain and logits.numel() and logits.amin().item() >= lowest:  # no −∞ or NaN
+        low, high = _levels(
+            logits.dtype, logits.shape[-1], cast(float, greedy), cast(float, uniform)
+        )
+        if not greedy:
+            return torch.full_like(logits, low)
+        best = logits >= largest
+        if best.count_nonzero().item() * logits.shape[-1] == logits.numel():  # no ties
+            return torch.full_like(logits, low).masked_fill_(best, high)
+    found = None
+    if present(greedy):  # a row of −∞ has no best action
+        best = logits >= largest.clamp(min=lowest)
+        found = _share(best, logits.dtype, greedy)
+    if not present(uniform):
+        return cast(Tensor, found)
+    every = _share(logits >= lowest, logits.dtype, uniform)
+    return every if found is None else found + every
+
+
+@lru_cache
+def _levels(dtype: torch.dtype, n: int, greedy: float, uniform: float) -> tuple[float, float]:
+    """The shares of another action and of a single best one, rounded as ``_share`` rounds."""
+    number = np.float32 if dtype is torch.float32 else np.float64
+    low = number(1) / number(n) * number(uniform)
+    return float(low), float(number(greedy) + low)
+
+
+def _share(members: Tensor, dtype: torch.dtype, weight: Value | Tensor) -> Tensor:
+    """A weight that some of the actions share equally."""
     share = members.type(dtype)
-    each = share.sum(-1, keepdim=True).reciprocal()
-    each = each if is_one(weight) else each * cast(Tensor, weight)
-    return share * each if found is None else torch.addcmul(found, share, each)
+    return share * (share.sum(-1, keepdim=True).reciprocal() * cast(Tensor, weight))
 
 
 def numbers(values: Iterable[Value | Tensor]) -> list[Value]:
@@ -226,11 +212,6 @@ def numbers(values: Iterable[Value | Tensor]) -> list[Value]:
         else value.numpy(force=True) if value.ndim else value.item()
         for value in values
     ]  # fmt: skip
-
-
-def is_one(weight: Value | Tensor) -> bool:
-    """Whether a weight is the Python number 1."""
-    return isinstance(weight, int | float) and weight == 1
 
 
 def present(weight: Value | Tensor) -> bool:

@@ -29,6 +29,9 @@ class Parametrised(TensorDictModuleBase):
 
     Args:
         trial_key: the entry with the trial of each frame.
+
+    Raises:
+        ValueError: under ``torch.device("meta")``.
     """
 
     iteration: Tensor
@@ -39,6 +42,11 @@ class Parametrised(TensorDictModuleBase):
         self.trial_key = trial_key
         self.register_buffer("iteration", torch.zeros((), dtype=torch.int64))
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
+        if self.iteration.is_meta:
+            raise ValueError(
+                f'{type(self).__name__} holds values, which a device "meta" cannot keep: '
+                'build it outside torch.device("meta")'
+            )
         self.schedules: dict[str, Schedule] = {}
         self._reads_trial = False
 
@@ -90,7 +98,7 @@ class Parametrised(TensorDictModuleBase):
         return schedule(int(clock))
 
     def spread(self, trials: int) -> None:
-        """Serve ``trials`` trials; each counts its own frames, as episodes differ in length.
+        """Count the frames of each of ``trials`` trials, as episodes differ in length.
 
         Raises:
             ValueError: if a per-trial parameter does not have one value for every trial.
@@ -134,13 +142,13 @@ class Parametrised(TensorDictModuleBase):
                 iterations.
         """
         number = self._number(frames)
-        self.iteration += 1
-        self.frames += number
+        self.iteration.data.add_(1)  # data: also if built in ``torch.inference_mode``
+        self.frames.data.add_(number)
         self._refresh()
 
     def keep_pace(self, other: Parametrised) -> None:
         """Go to the iteration and number of frames of another module."""
-        self.iteration.copy_(other.iteration)
+        self.iteration.data.copy_(other.iteration)
         self.frames = other.frames.clone()
         self._refresh()
 
@@ -151,7 +159,7 @@ class Parametrised(TensorDictModuleBase):
                 buffer = getattr(self, name)
                 value = torch.as_tensor(self._value(name), dtype=torch.float64)
                 if value.shape == buffer.shape:
-                    buffer.copy_(value)  # in place: shared memory and compiled code see it
+                    buffer.data.copy_(value)  # in place: shared memory and compiled code see it
                 else:
                     self._place(name)
 

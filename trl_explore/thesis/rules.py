@@ -30,13 +30,12 @@ import numpy as np
 
 from trl_explore.statistics.estimates import Estimate, combination, decimals, exact_rate
 from trl_explore.statistics.means import mean_difference, mean_interval
-from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.power import trials_for_rate_bound, trials_to_settle
 from trl_explore.statistics.samples import Sample
 from trl_explore.thesis.study import NotMeasuredError, Study, Unit
 
-RARELY, CONSISTENTLY, ALMOST_ALWAYS, MOSTLY = 0.01, 0.90, 0.80, 0.50
-"""The margins of the words."""
+RARELY = 0.01
+"""The margin of "never" and "some"."""
 THESIS_COSTS = (1.0, 10.0)
 """What an iteration costs in the thesis's program, in addition to its frames, in frames."""
 COSTS = (0.0, *THESIS_COSTS, 30.0, 100.0, 1000.0)
@@ -94,11 +93,6 @@ def share(
     return rule
 
 
-def passing(o: Outcomes, what: str, **bound: float) -> Rule:
-    """:func:`share` of the trials that pass."""
-    return share(int(o.converged.sum()), len(o), what, **bound)
-
-
 def never(count: int, n: int, what: str) -> Rule:
     """Fewer than 1 % of trials do ``what``."""
     return share(count, n, what, below=RARELY)
@@ -119,8 +113,9 @@ def mean_less(a: Sample, b: Sample) -> Rule:
         d = mean_difference(a, b, level=level)
         verdict = decided(d.sign() < 0, d.sign() > 0)
         design = f"{d.n:,} pairs" if d.paired else f"{len(a):,} and {len(b):,} trials"
+        first, second = (f"({x})" if " = " in x else x for x in (a.label, b.label))
         text = (
-            f"{a.label} minus {b.label} {interval(d.estimate, a.unit)},"
+            f"{first} minus {second} {interval(d.estimate, a.unit)},"
             f" p {p_value(d.p_value)} ({design})"
         )
         needed = trials_to_settle(d.estimate, 0.0, d.n)
@@ -199,11 +194,6 @@ def all_of(rules: Sequence[Rule], level: float) -> Finding:
 def any_of(rules: Sequence[Rule]) -> Rule:
     """Disjunction: holds if one part holds after Bonferroni, fails if every part fails."""
     return contrary(lambda level: all_of([contrary(rule) for rule in rules], level))
-
-
-def in_iterations(decide: UnitDecision) -> Decision:
-    """Decide in iterations, restricted to the cap."""
-    return lambda study: decide(study, "iterations")
 
 
 def in_time(decide: UnitDecision) -> Decision:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from trl_explore.names import OPTIONS, option_of, strategy_label, symbol
+from trl_explore.names import OPTIONS, option_label, option_of, strategy_label, symbol
 from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes, convergence_times, judged
@@ -58,6 +58,7 @@ class Study:
         places: name of an experiment -> name of the experiment that replaces it.
         measure: ``passed``, what a trial did while it explored, or ``learned``, what its policy
             does without the strategy (see :meth:`judged`).
+        correction: the class of the correction, if :meth:`under` chose one.
     """
 
     outcomes: Sequence[Outcomes]
@@ -67,6 +68,7 @@ class Study:
     strategies: Sequence[str] = STRATEGIES
     places: Mapping[str, str] = field(default_factory=dict)
     measure: str = "passed"
+    correction: str = ""
 
     def judged(self, measure: str) -> Study:
         """The same study by one measure: every claim is then decided by the same function.
@@ -110,7 +112,9 @@ class Study:
             if o.experiment in places.values() and option_of(o.config, "correction") == correction
         ]
         strategies = [name for name in self.strategies if name != "random"]
-        return replace(self, outcomes=chosen, strategies=strategies, places=places)
+        return replace(
+            self, outcomes=chosen, strategies=strategies, places=places, correction=correction
+        )
 
     def experiment(self, name: str) -> list[Outcomes]:
         """The jobs of an experiment; trials that two jobs share count once.
@@ -151,6 +155,57 @@ class Study:
         if len({configuration_key(o) for o in alike}) > 1:
             raise NotMeasuredError(f"{experiment} has several configurations of {called}")
         return _pooled(alike)
+
+    def find(self, selector: Any) -> dict[str, Outcomes]:
+        """Label for readers -> configuration, under the conditions of the thesis.
+
+        Args:
+            selector: a strategy or several of the thesis's experiment, or all others,
+                ``{but: softmax}``; a value of a grid, ``{grid: decay, value: 0.99}``, all others,
+                ``{grid: decay, but: 0.99}``, those above the median, ``{grid: decay, above:
+                median}``, or all; a strategy with one or ``all`` of its corrections,
+                ``{strategy: argmax, corrections: [PerStep]}``.
+
+        Raises:
+            NotMeasuredError: one of them was not run.
+        """
+        if isinstance(selector, Mapping) and "grid" in selector:
+            return self._of_grid(**selector)
+        if isinstance(selector, Mapping) and "corrections" in selector:
+            name, called = selector["strategy"], strategy_label(selector["strategy"])
+            found = self.corrected(name, selector["corrections"])
+            return {f"{called} with {option_label('correction', k)}": o for k, o in found.items()}
+        if isinstance(selector, Mapping):
+            names = [name for name in self.strategies if name != selector["but"]]
+        else:
+            names = [selector] if isinstance(selector, str) else selector
+        return {strategy_label(name): self.strategy(name) for name in names}
+
+    def _of_grid(
+        self, grid: str, value: float | None = None, but: float | None = None, above: str = ""
+    ) -> dict[str, Outcomes]:
+        found, called, chosen = self.grid(f"{grid}_grid", grid), symbol(grid), but or value
+        if chosen is not None and (chosen not in found or len(found) < 2):
+            raise NotMeasuredError(
+                f"the grid of {called} needs {chosen:g} and at least one other value"
+            )
+        least = float(np.median(list(found))) if above else -np.inf
+        how = f", {option_label('correction', self.correction)}" if self.correction else ""
+        return {
+            f"{called} = {x:g}{how}": o
+            for x, o in found.items()
+            if value in (None, x) and x != but and x > least
+        }
+
+    def corrected(self, strategy: str, corrections: Sequence[str] | str) -> dict[str, Outcomes]:
+        """Class of a correction -> the strategy with it; the per-step ratio is among ``all``."""
+        found = self.choices("corrections", strategy, "correction")
+        every = corrections == "all"
+        for name in ["PerStep"] if every else corrections:
+            if name not in found:
+                how = option_label("correction", name)
+                raise NotMeasuredError(f"{strategy_label(strategy)} was not run with {how}")
+        return found if every else {name: found[name] for name in corrections}
 
     def choices(self, experiment: str, strategy: str, group: str) -> dict[str, Outcomes]:
         """Map a strategy's configurations by their option of ``correction`` or ``baseline``.
@@ -229,6 +284,11 @@ class Study:
                 f"the timed trials of {strategy_label(outcomes.strategy)} do not match its trials"
             )
         return values, where
+
+
+def trials_of(label: str) -> str:
+    """The trials of a configuration: ``softmax trials``, ``trials with T = 1.5``."""
+    return f"trials with {label}" if " = " in label else f"{label} trials"
 
 
 def _pooled(jobs: Sequence[Outcomes]) -> Outcomes:

@@ -81,8 +81,8 @@ class Trainer:
             )
         if trials.stop_on in ("learned", "both") and evaluator is None:
             raise ValueError(
-                f"stop_on={trials.stop_on} needs evaluations: evaluate_every=auto where a compiled "
-                "kernel serves, or a number"
+                f"stop_on={trials.stop_on} needs evaluations: evaluate_every=auto where there is "
+                "a compiled kernel, or a number"
             )
         self.collector = collector
         self.loss = loss

@@ -75,8 +75,8 @@ def test_every_transition_is_gymnasiums(id, arguments, attributes, steps, least)
 
 
 def test_every_kernel_is_among_the_cases():
-    served = {type(make(id, arguments)) for id, arguments, *_ in CASES}
-    assert {env for env in _BUILDERS if env.__module__.startswith("gymnasium")} == served
+    covered = {type(make(id, arguments)) for id, arguments, *_ in CASES}
+    assert {env for env in _BUILDERS if env.__module__.startswith("gymnasium")} == covered
 
 
 @pytest.mark.parametrize(

@@ -160,8 +160,8 @@ def compilable(
     for transform in own_transforms(env):
         name = type(transform).__name__
         raise NotCompilableError(f"it does not support the transform {name}")
-    served = network_of(policy[0], one_hot=is_one_hot(env)) if len(policy) == 2 else None
-    if served is None:
+    compiled = network_of(policy[0], one_hot=is_one_hot(env)) if len(policy) == 2 else None
+    if compiled is None:
         raise NotCompilableError(f"it does not support the policy {names(policy)}")
     check_mixture(policy[1])
     try:
@@ -177,5 +177,5 @@ def compilable(
         raise NotCompilableError(
             f"the kernel has (actions, features) {sizes}, but the environment has {own}"
         )
-    check_weights(*served, lanes.num_envs, *sizes[::-1])
-    return kernel, *served
+    check_weights(*compiled, lanes.num_envs, *sizes[::-1])
+    return kernel, *compiled

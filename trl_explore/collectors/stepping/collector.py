@@ -100,14 +100,14 @@ class SteppingCollector(EpisodeCollector):
         policy = cast(TensorDictModuleBase, self.policy[0])
         check_mixture(self.strategy, continuous=self._continuous)
         if self._continuous:
-            served, n_out = gaussian_of(policy), n_dims(self.env)
+            compiled, n_out = gaussian_of(policy), n_dims(self.env)
         else:
-            served = network_of(policy, one_hot=is_one_hot(self.env))
+            compiled = network_of(policy, one_hot=is_one_hot(self.env))
             n_out = n_actions(self.env)
-        if served is None or len(self.policy) != 2:
+        if compiled is None or len(self.policy) != 2:
             raise NotCompilableError(f"the policy {names(self.policy)}")
-        check_weights(*served, self.trials, self._observation.shape[1], n_out)
-        return served
+        check_weights(*compiled, self.trials, self._observation.shape[1], n_out)
+        return compiled
 
     def _bounds(self) -> tuple[NDArray[np.float64], ...]:
         """The bounds of a continuous action, and the logarithm of their volume."""

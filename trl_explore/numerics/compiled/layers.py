@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from trl_explore.numerics.compiled.cache import compiled, kernel_function
@@ -120,7 +118,7 @@ def affine_to_weights(x, grad, trial, slope, slope0):
 
 @kernel_function
 def tanh32(x):
-    """Tanh of a float32; NaN stays NaN; twin: ``layers.plain_activate``."""
+    """Tanh of a float32; NaN stays NaN; twin: ``numpy.tanh``."""
     x = -TANH_LIMIT if x < -TANH_LIMIT else x
     x = TANH_LIMIT if x > TANH_LIMIT else x
     s = x * x
@@ -130,46 +128,22 @@ def tanh32(x):
 
 @kernel_function
 def relu32(x):
-    """The larger of a float32 and 0; NaN stays NaN; twin: ``layers.plain_activate``."""
+    """The larger of a float32 and 0; NaN stays NaN; twin: ``numpy.maximum``."""
     return np.float32(0) if x < 0 else x
 
 
 @compiled()
-def tanh_single(x, y):
-    """Tanh of float32 numbers; twin: ``layers.plain_activate``."""
+def tanh(x, y):
+    """Tanh of float32 numbers; twin: ``numpy.tanh``."""
     for i in range(len(x)):
         y[i] = tanh32(x[i])
 
 
 @compiled()
-def tanh_double(x, y):
-    """Tanh of float64 numbers; twin: ``layers.plain_activate``."""
-    for i in range(len(x)):
-        y[i] = math.tanh(x[i])
-
-
-@compiled()
-def relu(x, y):
-    """The larger of each number and 0; twin: ``layers.plain_activate``."""
-    zero = np.zeros(1, x.dtype)[0]
-    for i in range(len(x)):
-        y[i] = zero if x[i] < 0 else x[i]
-
-
-@compiled()
 def tanh_backward(y, grad, out):
-    """Gradient of tanh from its values; twin: ``layers.plain_activate``."""
-    one = np.ones(1, y.dtype)[0]
+    """Gradient of tanh from its values; twin: ``numpy.tanh``."""
     for i in range(len(y)):
-        out[i] = grad[i] * (one - y[i] * y[i])
-
-
-@compiled()
-def relu_backward(y, grad, out):
-    """Gradient of relu from its values; twin: ``layers.plain_activate``."""
-    zero = np.zeros(1, y.dtype)[0]
-    for i in range(len(y)):
-        out[i] = grad[i] if y[i] > 0 else zero
+        out[i] = grad[i] * (np.float32(1) - y[i] * y[i])
 
 
 @compiled()

@@ -1,8 +1,4 @@
-"""Discounted returns, compiled, and the search for the end of a trial's or episode's frames.
-
-Each step examines eight frames. Indices are unsigned: a signed index could be negative, and numba's
-support for negative indices keeps LLVM from vectorising the loop.
-"""
+"""Discounted returns, compiled, and the ends of the frames of a trial and of an episode."""
 
 # numba rewrites signatures:
 # pyright: reportCallIssue=false, reportAttributeAccessIssue=false
@@ -13,45 +9,24 @@ import numpy as np
 
 from trl_explore.numerics.compiled.cache import compiled, kernel_function
 
-_ONE, _STRIDE = np.uint64(1), np.uint64(8)
 _1, _2, _3, _4, _5, _6, _7 = map(np.uint64, range(1, 8))
 
 
 @kernel_function
 def end_of_run(trial, start):
     """First index after ``start`` with another trial; twin: ``returns.plain_return_to_go``."""
-    place, stop, own = np.uint64(start) + _ONE, np.uint64(len(trial)), trial[start]
-    while place + _STRIDE <= stop:
-        change = trial[place] ^ own
-        for j in range(1, 8):
-            change |= trial[place + np.uint64(j)] ^ own
-        if change != 0:
-            break
-        place += _STRIDE
-    while place < stop and trial[place] == own:
-        place += _ONE
+    place = start + 1
+    while place < len(trial) and trial[place] == trial[start]:
+        place += 1
     return np.int64(place)
 
 
 @kernel_function
 def end_of_episode(done, start, stop):
-    """Index after the next frame that is done; twin: ``returns.plain_return_to_go``.
-
-    It searches from ``start`` on and returns at most ``stop``.
-    """
-    place, last = np.uint64(start), np.uint64(stop)
-    while place + _STRIDE <= last:
-        ended = done[place]
-        for j in range(1, 8):
-            ended |= done[place + np.uint64(j)]
-        if ended:
-            break
-        place += _STRIDE
-    while place < last:
-        place += _ONE
-        if done[place - _ONE]:
-            break
-    return np.int64(place)
+    """Index after the next end, or ``stop``; twin: ``returns.plain_return_to_go``."""
+    while start < stop and not done[start]:
+        start += 1
+    return min(start + 1, stop)
 
 
 @compiled()
@@ -84,7 +59,7 @@ def run_returns(reward, done, out, gamma):
             after = reward[t] + gamma * after
             out[t] = after
         for place in range(start + 8 * (whole - 1), start - 1, -8):
-            t = np.uint64(place)  # unsigned, see above
+            t = np.uint64(place)  # a signed index could be negative, which keeps LLVM from vectors
             l7 = np.float64(reward[t + _7])
             l6 = reward[t + _6] + gamma * l7
             l5 = reward[t + _5] + gamma * l6
