@@ -16,7 +16,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from trl_explore.checks import check_number
 from trl_explore.config.checking import check_actions, check_values, describe
-from trl_explore.config.files import ConfigError
+from trl_explore.config.files import ConfigError, load
 from trl_explore.config.importing import import_torchrl
 
 if TYPE_CHECKING:
@@ -244,7 +244,12 @@ def _evaluator(
     if config.evaluate_every == "auto":
         try:
             compilable(env, both)
-        except NotCompilableError:
+        except NotCompilableError as error:
+            if (episodes := config.evaluate_episodes) != load("train").evaluate_episodes:
+                raise ConfigError(
+                    f"evaluate_episodes={episodes} needs evaluations, but evaluate_every=auto has"
+                    f" none without a compiled kernel ({error}); give an integer >= 1"
+                ) from None
             return None
     greedy = config.evaluate_policy == "greedy"
     collector = auto_collector(
