@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from trl_explore.names import experiment, experiment_rank
+from trl_explore.report.crossings import Run
 from trl_explore.report.curves import Traces, read_traces
-from trl_explore.report.decomposition import Decomposition, Run, decompose
+from trl_explore.report.decomposition import Decomposition, decompose
 from trl_explore.report.groups import Group, group_jobs
 from trl_explore.report.layouts import (
     option_sentences,
