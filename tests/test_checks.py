@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trl_explore.checks import check_integer, check_number, interval, settle
+from trl_explore.checks import check_integer, check_number, first_line, interval, settle
 
 
 @pytest.mark.parametrize("value", [0, 1, 0.5, np.float32(0.25), np.int64(1), Fraction(1, 3)])
@@ -112,3 +112,8 @@ def test_a_declaration_does_not_outlive_an_overridden_method():
 
     assert (Base.fast, Same.fast, Stated.fast) == (True, True, True)
     assert (Mixed.fast, Below.fast) == (False, False)
+
+
+def test_first_line():
+    assert first_line(ValueError("\none\ntwo")) == "one"
+    assert first_line(KeyError()) == "KeyError"

@@ -89,14 +89,8 @@ def settle(cls: type, attribute: str, value: bool, methods: Collection[str]) -> 
     """Set a declared attribute on a class that overrides a method without redeclaring it.
 
     Class attributes declare what a class can do. An inherited declaration may no longer hold once
-    a subclass overrides one of the methods it describes. Call this in ``__init_subclass__``: it
-    sets the attribute to ``value`` unless the subclass declares it.
-
-    Args:
-        cls: the new class.
-        attribute: the name of the declaration.
-        value: the safe default.
-        methods: the methods that the declaration describes.
+    a subclass overrides one of the methods that it describes. Call this in ``__init_subclass__``:
+    it sets the attribute to the safe ``value`` unless the subclass declares it.
 
     Example:
         >>> class Base:
@@ -125,11 +119,6 @@ def holds(instance: object, attribute: str, methods: Collection[str]) -> bool:
 
     ``settle`` sees what a class overrides when it is made, and not what is put into the object, or
     into its class later.
-
-    Args:
-        instance: the object.
-        attribute: the name of the declaration.
-        methods: the methods that the declaration covers.
 
     Example:
         >>> class Base:

@@ -175,10 +175,13 @@ def test_the_same_without_exploration(env, zero):
     assert not data["action_log_prob"].any()
 
 
-@pytest.mark.parametrize("env", ENVS)
+@pytest.mark.parametrize("env", ["cartpole", "frozenlake", "taxi"])
 @pytest.mark.parametrize("explores", [False, True])
 def test_the_same_outcomes_without_frames(env, explores):
-    """As evaluations play them: far episode numbers, greedy or sampled from π."""
+    """As evaluations play them: far episode numbers, greedy or sampled from π.
+
+    Observations in the SIMD lanes, in the scratch, and with masks.
+    """
     trials = np.array([0, 0, 1, 2, 2, 2])
     episodes = (1 << 52) + np.array([0, 7, 0, 3, 1, 2])
     played = []

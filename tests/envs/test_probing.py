@@ -15,8 +15,12 @@ from gymnasium.envs.registration import EnvSpec
 from tensordict.nn import TensorDictSequential
 from torchrl import envs
 
-from trl_explore.collectors import NotCompilableError, SteppingCollector, TorchRLCollector
-from trl_explore.collectors.fused import FusedCollector
+from trl_explore.collectors import (
+    FusedCollector,
+    NotCompilableError,
+    SteppingCollector,
+    TorchRLCollector,
+)
 from trl_explore.envs import LaneVectorEnv, lane_env, make_env
 from trl_explore.envs.probing import check_transforms, remarks
 from trl_explore.policies import LinearPolicy, TabularPolicy
@@ -113,7 +117,7 @@ def test_combined_actions_are_said(said):
 
 
 OBSERVATION = {"in_keys": ["observation"]}
-SERVED = {
+SUPPORTED = {
     "CatFrames": partial(envs.CatFrames, 3, dim=-1, **OBSERVATION),
     "ObservationNorm": partial(envs.ObservationNorm, loc=1.0, scale=[1.0, 2, 3, 4], **OBSERVATION),
     "RewardScaling": partial(envs.RewardScaling, loc=0.0, scale=0.1),
@@ -135,9 +139,9 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("name", SERVED)
-def test_served(name):
-    check_transforms(lambda: [SERVED[name]()])
+@pytest.mark.parametrize("name", SUPPORTED)
+def test_supported(name):
+    check_transforms(lambda: [SUPPORTED[name]()])
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -172,12 +176,12 @@ def test_what_is_no_transform():
         check_transforms(lambda: [{}])  # pyright: ignore
 
 
-@pytest.mark.parametrize("name", SERVED)
+@pytest.mark.parametrize("name", SUPPORTED)
 def test_a_trial_is_the_same_in_every_company(name):
     """All that the collector returns, over several episodes."""
     data = {}
     for trials, first in ((3, 0), (1, 1)):
-        env = make_env(trials=trials, first_trial=first, transforms=[SERVED[name]()])
+        env = make_env(trials=trials, first_trial=first, transforms=[SUPPORTED[name]()])
         policy = LinearPolicy(env, first_trial=first)
         collector = TorchRLCollector(env, TensorDictSequential(policy, Softmax()))
         data[trials] = [collector.collect().frames.clone() for _ in range(3)]
@@ -189,7 +193,7 @@ def test_a_trial_is_the_same_in_every_company(name):
 
 
 def test_the_frames_of_a_stack_are_those_of_the_trial():
-    env = make_env(trials=2, transforms=[SERVED["CatFrames"]()])
+    env = make_env(trials=2, transforms=[SUPPORTED["CatFrames"]()])
     collector = TorchRLCollector(env, TensorDictSequential(LinearPolicy(env), Softmax()))
     for _ in range(2):
         frames = collector.collect().frames
@@ -201,14 +205,14 @@ def test_the_frames_of_a_stack_are_those_of_the_trial():
 
 def test_the_score_is_the_environments():
     """The learner sees the scaled reward."""
-    env = make_env(trials=2, transforms=[SERVED["RewardScaling"]()])
+    env = make_env(trials=2, transforms=[SUPPORTED["RewardScaling"]()])
     rollout = TorchRLCollector(env, TensorDictSequential(LinearPolicy(env), Softmax())).collect()
     assert rollout.score.tolist() == rollout.length.tolist()
     assert rollout.frames["next", "reward"].unique().tolist() == pytest.approx([0.1])
 
 
 def test_the_fused_collector_does_not_apply():
-    env = make_env(trials=2, transforms=[SERVED["RewardScaling"]()])
+    env = make_env(trials=2, transforms=[SUPPORTED["RewardScaling"]()])
     with pytest.raises(NotCompilableError, match="RewardScaling"):
         FusedCollector(env, TensorDictSequential(LinearPolicy(env), Softmax()))
 
@@ -217,4 +221,4 @@ def test_a_transformed_state_is_not_one_hot():
     """A table has a row for each state, and a mean of states is none."""
     TabularPolicy(make_env("FrozenLake-v1"))
     with pytest.raises(ValueError, match="Discrete"):
-        TabularPolicy(make_env("FrozenLake-v1", transforms=[SERVED["TimeMaxPool"]()]))
+        TabularPolicy(make_env("FrozenLake-v1", transforms=[SUPPORTED["TimeMaxPool"]()]))

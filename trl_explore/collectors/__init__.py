@@ -10,8 +10,8 @@ from torchrl.envs import TransformedEnv
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
 from trl_explore.collectors.compiling import NotCompilableError
-from trl_explore.collectors.fused import FusedCollector
-from trl_explore.collectors.stepping import SteppingCollector
+from trl_explore.collectors.fused.collector import FusedCollector
+from trl_explore.collectors.stepping.collector import SteppingCollector
 from trl_explore.collectors.torchrl import TorchRLCollector
 
 __all__ = [

@@ -131,14 +131,9 @@ class Copies:
         self._ages.append(0)
 
     def reset(
-        self,
-        rows: Sequence[int],
-        trials: Sequence[int],
-        episodes: Sequence[int],
-        seed: int,
-        stream: Stream,
+        self, rows: Sequence[int], trials: Any, episodes: Any, seed: int, stream: Stream
     ) -> None:
-        """Begin an episode in the copies ``rows`` [m], each with its trial's random stream."""
+        """Begin the episodes [m] of the trials [m] in the copies ``rows`` [m]."""
         while (k := len(self.envs)) < len(self._rows):
             try:
                 env = self.make()

@@ -72,7 +72,11 @@ def _fault_of(lanes: LaneVectorEnv) -> str | None:
         env = cast(Wrapper[Any, Any, Any, Any], env).env
     if type(env).__module__.startswith("gymnasium.envs."):
         return None
-    copies = Copies(lanes.id, lanes.make, Signals.of(2, *_sizes(lanes)))
+    copies = Copies(
+        lanes.id,
+        lanes.make,
+        Signals.of(2, lanes.signals.observation.shape[1], lanes.signals.mask.shape[1]),
+    )
     before = _global_states()
     try:
         first = _episode(lanes, copies)
@@ -114,10 +118,6 @@ def _episode(lanes: LaneVectorEnv, copies: Copies) -> list[list[NDArray[Any]]]:
         copies.step([0, 1], np.repeat(_action(lanes, signals, draws), 2, 0))
         seen.append([column.copy() for column in signals])
     return seen
-
-
-def _sizes(lanes: LaneVectorEnv) -> tuple[int, int]:
-    return lanes.signals.observation.shape[1], lanes.signals.mask.shape[1]
 
 
 def _action(lanes: LaneVectorEnv, signals: Signals, draws: np.random.Generator) -> Any:

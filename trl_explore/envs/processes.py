@@ -66,12 +66,7 @@ class ProcessCopies(Copies):
         self._processes: list[_Process] = []
 
     def reset(
-        self,
-        rows: Sequence[int],
-        trials: Sequence[int],
-        episodes: Sequence[int],
-        seed: int,
-        stream: Stream,
+        self, rows: Sequence[int], trials: Any, episodes: Any, seed: int, stream: Stream
     ) -> None:
         """``Copies.reset``."""
         self._call("reset", rows, (np.asarray(trials), np.asarray(episodes)), (seed, stream))

@@ -162,16 +162,8 @@ def linear_softmax_reinforce(
 
     It computes the returns with the same operations as ``return_to_go``.
 
-    Args:
-        observation: x [frames, n_features].
-        weight: W [trials, n_actions, n_features].
-        action: a [frames] int64.
-        reward: r [frames].
-        done: whether the frame is the last of its episode [frames].
-        trial: [frames] int64.
-        gamma: discount γ.
-        baseline: b.
-        scale: a factor of S and its gradient.
+    Args and errors are those of ``linear_softmax_gradient``, with reward r and done [frames],
+    discount γ and baseline b in place of A.
 
     Returns:
         S and its gradient; None if the trials are not in ascending order, an index is out of

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -193,15 +194,10 @@ def _fit(text: str, font: ImageFont.FreeTypeFont) -> str:
     return f"{text}…"
 
 
-_fonts: dict[tuple[int, bool], ImageFont.FreeTypeFont] = {}
-
-
+@cache
 def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
     """A font with the letters ε and π: the one that matplotlib brings."""
-    if (size, bold) not in _fonts:
-        file = findfont("DejaVu Sans:bold" if bold else "DejaVu Sans")
-        _fonts[size, bold] = ImageFont.truetype(file, size)
-    return _fonts[size, bold]
+    return ImageFont.truetype(findfont("DejaVu Sans:bold" if bold else "DejaVu Sans"), size)
 
 
 def _write_gif(path: Path, frames: Sequence[Image.Image], duration: int) -> None:

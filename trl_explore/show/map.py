@@ -69,7 +69,7 @@ DRAWINGS: Mapping[str, Drawing] = {
         lambda env: {"rows": env.rows, "columns": env.columns},
     ),
 }
-"""The environments that the page can draw, by gymnasium id."""
+"""The environments that the page can draw, by gymnasium id; they come first."""
 
 
 def point_of(config: Mapping[str, Any]) -> tuple[list[float], float] | None:
@@ -245,15 +245,13 @@ def _short(value: float) -> float | None:
 
 
 HERE = Path(__file__).parent
-ORDER = ("CartPole-v1", "FrozenLake-v1", "trl_explore/Catch-v0")
-"""The first environments of the page; others follow."""
 
 
 def page(found: Mapping[str, Any]) -> str:
-    """The page of what ``cells.read_cells`` has found."""
+    """The page of what ``read_cells`` has found."""
     tasks, cells = found["tasks"], found["cells"]
-    rank = [ORDER.index(t["id"]) if t["id"] in ORDER else len(ORDER) for t in tasks]
-    order = sorted(range(len(tasks)), key=lambda i: (rank[i], tasks[i]["id"]))
+    first = list(DRAWINGS)
+    order = sorted(range(len(tasks)), key=lambda i: ((*first, id := tasks[i]["id"]).index(id), id))
     cells = [{**cell, "task": order.index(cell["task"])} for cell in cells]
     cells.sort(key=lambda cell: (cell["task"], cell["corrected"], cell["T"], cell["w"]))
     counts = sorted({cell["n"] for cell in cells})

@@ -1,5 +1,1 @@
 """The stepping collector: any environment, and one compiled call per step for all lanes."""
-
-from trl_explore.collectors.stepping.collector import SteppingCollector
-
-__all__ = ["SteppingCollector"]

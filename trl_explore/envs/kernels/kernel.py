@@ -37,9 +37,7 @@ class Kernel:
     The collector applies time limits.
 
     Attributes:
-        reset: see above.
-        step: see above.
-        observe: see above.
+        reset, step, observe: see above.
         parameters: a tuple of numbers and arrays, the constants of an environment instance; passed
             to each function unchanged.
         state_size: length of ``state``, a float64 array.
