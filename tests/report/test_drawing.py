@@ -97,7 +97,7 @@ def sized(tmp_path_factory, make_job) -> list[GroupEvidence]:
 
 def test_no_text_lies_on_another_in_the_figure_of_why(by_learning):
     with visual_language():
-        check(draw_acting(by_learning.decompositions))
+        check(draw_acting(by_learning.decompositions)[0])
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda k: k.name)
@@ -106,7 +106,7 @@ def test_no_text_lies_on_another_in_any_figure(study, laid_out, by_learning, siz
     for part in [*study, *laid_out, *by_learning.groups, *sized]:
         if kind.applies(part):
             with visual_language():
-                check(kind.draw(part))
+                check(kind.draw(part)[0])
             drawn += 1
     assert drawn
 
@@ -115,7 +115,7 @@ def test_no_text_lies_on_another_in_any_figure(study, laid_out, by_learning, siz
 def test_no_text_lies_on_another_with_twelve_strategies(twelve, kind):
     if kind.applies(twelve):
         with visual_language():
-            check(kind.draw(twelve))
+            check(kind.draw(twelve)[0])
 
 
 def test_long_runs_have_room_for_their_numbers(tmp_path, make_job):
@@ -127,7 +127,7 @@ def test_long_runs_have_room_for_their_numbers(tmp_path, make_job):
     for kind in KINDS:
         if kind.applies(part):
             with visual_language():
-                check(kind.draw(part))
+                check(kind.draw(part)[0])
 
 
 def test_every_figure_of_the_thesis_is_drawn(made):

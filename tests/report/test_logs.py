@@ -68,6 +68,9 @@ def test_the_page(runs, tmp_path, capsys):
         (["--pattern", "("], "is not a regular expression"),
         (["--pattern", "a"], "has no group"),
         (["--window", "0"], "--window must be an integer >= 1, got 0"),
+        (["--threshold", "x"], "--threshold x: must be SCORE or ENVIRONMENT=SCORE"),
+        (["--threshold", "Boat=1"], "--threshold Boat=...: the environments are Pole, Car<b>"),
+        (["--threshold", "1", "--threshold", "Pole=2"], "one for all environments, or"),
         (["--horizon", "1e9"], "no run reaches step 1,000,000,000"),
     ],
 )
@@ -77,6 +80,17 @@ def test_wrong_arguments(words, message, runs, capsys):
     assert err.startswith("error: ")
     assert message in err
     assert err.count("\n") == 1
+
+
+def test_each_environment_may_have_a_threshold_of_its_own(runs, tmp_path, capsys):
+    """Scores reach about 100 and 140: in Pole 120 divides the two; Car has no threshold."""
+    out = tmp_path / "page"
+    assert report(capsys, "--from", "csv", runs, "--threshold", "Pole=120", "--out", out)[0] == 0
+    text = " ".join((out / "index.html").read_text().split())
+    assert "Runs that exceeded 120 by step 100: one 0 of 8, two 7 of 8." in text
+    assert text.count("Runs that exceeded") == 1
+    assert "Pole: &gt; 120" in text
+    assert len(list((out / "figures").glob("*.svg"))) == 5
 
 
 def test_one_configuration_without_seeds(tmp_path, capsys):

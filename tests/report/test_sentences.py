@@ -7,14 +7,9 @@ import pytest
 
 from tests.statistics import conftest
 from trl_explore.report.factors import Factor
+from trl_explore.report.layouts import option_sentences, plane_sentences
 from trl_explore.report.questions import Block, Question
-from trl_explore.report.sentences import (
-    answer,
-    option_sentences,
-    plane_sentences,
-    question_sentence,
-    verdicts,
-)
+from trl_explore.report.sentences import answer, question_sentence, verdicts
 from trl_explore.statistics.comparisons import compare_all, compare_pairs
 from trl_explore.thesis import CLAIMS, Checked, Finding, Study, Verdict, check_claims
 

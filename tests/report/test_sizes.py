@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from trl_explore.report import evidence, layouts
-from trl_explore.report.figures.by_parameter import FIRST_REWARD
-from trl_explore.report.figures.differences import FOREST
-from trl_explore.report.figures.survival import SURVIVAL
+from trl_explore.report.figures.by_parameter import first_reward
+from trl_explore.report.figures.differences import forest
+from trl_explore.report.figures.survival import curves
 from trl_explore.report.loading import load
 from trl_explore.report.style import visual_language
 
@@ -66,11 +66,11 @@ def test_strategies_are_compared_at_the_same_size(swept):
 
 
 def test_the_figure(swept):
-    assert FIRST_REWARD.applies(swept)
-    assert not SURVIVAL.applies(swept)
-    assert not FOREST.applies(swept)
+    assert first_reward.applies(swept)
+    assert not curves.applies(swept)
+    assert not forest.applies(swept)
     with visual_language():
-        figure = FIRST_REWARD.draw(swept)
+        figure = first_reward.draw(swept)[0]
     left, right = (ax for ax in figure.axes if ax.get_title(loc="left"))
     assert left.get_yscale() == "log"
     assert right.get_title(loc="left") == "intrinsic reward = 1"
@@ -84,7 +84,7 @@ def test_the_figure(swept):
     assert set(cap[:, 1]) == {CAP}
     np.testing.assert_allclose(uniform[:, 1], math.log(2) * 2 ** uniform[:, 0])
     assert uniform[-1, 1] == pytest.approx(CAP)
-    caption = FIRST_REWARD.caption(swept)
+    caption = first_reward.draw(swept)[1]
     assert "episodes to the first score above 0" in caption
     assert "softmax 3 of 5" in caption
 
@@ -94,4 +94,4 @@ def test_jobs_of_one_size_have_no_such_figure(tmp_path, make_job):
         make_job(tmp_path / "thesis", strategy, [100, 200, 300], strategy=strategy)
     (found,) = evidence.gather(load([tmp_path])).groups
     assert not found.group.sized
-    assert not FIRST_REWARD.applies(found)
+    assert not first_reward.applies(found)

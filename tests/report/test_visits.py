@@ -7,7 +7,7 @@ import pytest
 from safetensors.numpy import save_file
 
 from trl_explore.report import evidence
-from trl_explore.report.figures.maps import VISITS
+from trl_explore.report.figures.maps import visits
 from trl_explore.report.loading import load
 from trl_explore.report.style import visual_language
 
@@ -34,16 +34,16 @@ def found(job):
 def test_a_map_per_iteration(job):
     write_visits(job)
     (group,) = found(job).groups
-    assert VISITS.applies(group)
+    assert visits.applies(group)
     with visual_language():
-        figure = VISITS.draw(group)
+        figure = visits.draw(group)[0]
     maps = [ax for ax in figure.axes if ax.images]
     assert [ax.get_title() for ax in maps] == ["iteration 1", "4", "8", "20"]
     last = maps[-1].images[0].get_array()
     assert last is not None
     share = np.ma.filled(np.ma.masked_invalid(last), 0)
     np.testing.assert_allclose(share, [[200 / 230, 0, 0], [0, 0, 30 / 230]])
-    assert "softmax: 2 of 6" in VISITS.caption(group)
+    assert "softmax: 2 of 6" in visits.draw(group)[1]
 
 
 @pytest.mark.parametrize("data", [b"", b"no tensors at all", None])
@@ -53,9 +53,9 @@ def test_an_unreadable_file_is_a_gap(job, data):
     else:
         (job / "visits.safetensors").write_bytes(data)
     everything = found(job)
-    assert not VISITS.applies(everything.groups[0])
+    assert not visits.applies(everything.groups[0])
     assert any("visits.safetensors" in gap.why for gap in everything.gaps)
 
 
 def test_without_the_file_there_is_no_figure(job):
-    assert not VISITS.applies(found(job).groups[0])
+    assert not visits.applies(found(job).groups[0])

@@ -309,7 +309,7 @@ def test_specs_give_box_and_size(name):
         assert torch.equal(strategy.low, LOW.double())
         assert torch.equal(strategy.high, HIGH.double())
         late = build(name, spec=None)
-        late.serve(spec)
+        late.set_spec(spec)
         noise = noise_of(20)
         a, b = (s(frames(20, noise=noise))["action"] for s in (strategy, late))
         assert torch.equal(a, b)
@@ -344,7 +344,7 @@ def test_discrete_specs_are_refused(name, spec):
 
 def test_a_discrete_strategy_refuses_a_box():
     with pytest.raises(ValueError, match=r"Softmax.*discrete actions"):
-        Softmax().serve(BOX)
+        Softmax().set_spec(BOX)
 
 
 def test_a_policy_of_other_dimensions_is_refused():

@@ -167,3 +167,24 @@ def test_noise_on_a_policy_that_is_not_known_is_an_error():
 def test_parameter_noise_refuses(options, name):
     with pytest.raises(ValueError, match=rf"^{name}\b"):
         ParameterNoise(**options)
+
+
+class Branching(torch.nn.Linear):
+    """A layer with a branch on data, as in TorchRL's recurrent modules, for a batch of frames."""
+
+    def forward(self, x):
+        assert x.ndim == 2
+        return super().forward(x) if x.sum() > -1e9 else x
+
+
+def test_a_policy_that_vmap_cannot_map_has_a_perturbation_for_every_lane():
+    policy = TensorDictModule(Branching(4, 3), ["observation"], ["logits"])
+    strategy = ParameterNoise(1.0)
+    strategy.bind(policy, 1)
+    frames = {"observation": torch.ones(5, 4), "is_init": torch.zeros(5, 1, dtype=torch.bool)}
+    data = policy(TensorDict(frames, [5]))
+    found = strategy.preferences(data, data["logits"])
+    assert torch.equal(found, strategy.preferences(data, data["logits"]))
+    assert len(found.unique(dim=0)) == 5
+    strategy.sigma.zero_()
+    torch.testing.assert_close(strategy.preferences(data, data["logits"]), data["logits"])

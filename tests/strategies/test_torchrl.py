@@ -195,11 +195,18 @@ def test_a_strategy_on_the_meta_device_is_refused(name):
         getattr(strategies, name)()
 
 
+def test_a_strategy_built_in_inference_mode_moves_outside_it():
+    with torch.inference_mode():
+        strategy = EpsilonGreedy(Linear(1.0, 0.0, 5))
+    strategy.step()
+    assert strategy.epsilon.item() == pytest.approx(0.8)
+
+
 # Compiled and functional use
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_one_graph_serves_every_iteration(name):
+def test_one_graph_is_used_in_every_iteration(name):
     schedule = Exponential(0.9, 0.9)
     kind = getattr(strategies, name)
     parameters = make(name).schedules.keys() if name != "DecayingEpsilonGreedy" else ()

@@ -112,7 +112,7 @@ class EpisodeCollector(BaseCollector):
                 f"its last module is a {type(strategy).__name__}"
             )
         self.strategy = strategy
-        self.strategy.serve(env.action_spec)
+        self.strategy.set_spec(env.action_spec)
         self.strategy.bind(
             policy[0], lanes.num_envs, seed=lanes.seed, first_trial=lanes.first_trial
         )

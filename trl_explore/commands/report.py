@@ -123,7 +123,10 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         help="which quantity is the score; for csv also step, seed, configuration (A,B: of two"
         " columns), environment, run",
     )  # fmt: skip
-    group.add_argument("--threshold", type=float, help="a run has passed when its score exceeds it")
+    group.add_argument(
+        "--threshold", action="append", default=[], metavar="[ENVIRONMENT=]SCORE",
+        help="a run has passed when its score exceeds it; of all environments, or of one",
+    )  # fmt: skip
     group.add_argument("--window", type=int, help="smooth the score over this number of points")
     group.add_argument("--horizon", type=float, help="the last step that counts")
     group.add_argument(
@@ -156,7 +159,10 @@ def _report_logs(arguments: argparse.Namespace, out: Path) -> Path | None:
     if others:
         print(f"\nalso logged by all runs (--column score=NAME): {', '.join(others[:20])}")
     found = tasks(
-        runs, threshold=arguments.threshold, window=arguments.window, horizon=arguments.horizon
+        runs,
+        threshold=_threshold(arguments.threshold),
+        window=arguments.window,
+        horizon=arguments.horizon,
     )
     for task in found:
         print(
@@ -179,6 +185,22 @@ def _columns(words: list[str]) -> dict[str, str]:
             )
         columns[role] = name
     return columns
+
+
+def _threshold(words: list[str]) -> float | dict[str, float] | None:
+    """One threshold for all environments, or one for each that is named."""
+    found = {}
+    for word in words:
+        name, _, value = word.rpartition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise ResultsError(
+                f"--threshold {word}: must be SCORE or ENVIRONMENT=SCORE, SCORE a number"
+            ) from None
+    if "" in found and len(words) > 1:
+        raise ResultsError("--threshold: one for all environments, or ENVIRONMENT=SCORE for each")
+    return found.get("", found or None)
 
 
 def _pattern(text: str | None) -> re.Pattern[str] | None:

@@ -125,7 +125,7 @@ class Task:
 def tasks(
     runs: Sequence[Run],
     *,
-    threshold: float | None = None,
+    threshold: float | Mapping[str, float] | None = None,
     window: int | None = None,
     horizon: float | None = None,
 ) -> list[Task]:
@@ -133,20 +133,26 @@ def tasks(
 
     Args:
         runs: from ``read_runs``; those that are not used are skipped.
-        threshold: the score that a run must exceed.
+        threshold: the score that a run must exceed, in all environments or in each.
         window: points to smooth over. By default 1, and for scores of single episodes 100, or a
             fifth of the episodes of the shortest run if that is less.
         horizon: the last step. By default the end of the shortest run that was not cut off.
 
     Raises:
-        ResultsError: no runs, or a horizon that no run reaches.
+        ResultsError: no runs, a threshold of an environment that has none, or a horizon that no
+            run reaches.
     """
     used = [run for run in runs if run.used]
     if not used:
         raise ResultsError("no run has any values")
-    environments = dict.fromkeys(run.environment for run in used)
+    environments = list(dict.fromkeys(run.environment for run in used))
+    of = threshold if isinstance(threshold, Mapping) else dict.fromkeys(environments, threshold)
+    for name in of:
+        if name not in environments:
+            known = ", ".join(environments)
+            raise ResultsError(f"--threshold {name}=...: the environments are {known or 'unknown'}")
     return [
-        _task(name, [r for r in used if r.environment == name], threshold, window, horizon)
+        _task(name, [r for r in used if r.environment == name], of.get(name), window, horizon)
         for name in environments
     ]
 

@@ -130,8 +130,7 @@ class Episodes:
     @cached_property
     def step(self) -> Tensor:
         """t, the index of the frame within its episode [frames] int64."""
-        place = torch.arange(len(self), device=self.done.device)
-        return place - torch.where(self.starts, place, 0).cummax(0).values
+        return since(self.starts)
 
     @cached_property
     def discount(self) -> Tensor:
@@ -173,3 +172,9 @@ class Episodes:
     def episodes_of_trial(self) -> Tensor:
         """The number of episodes of every trial [trials] int64."""
         return torch.bincount(self.owner, minlength=self.trials)
+
+
+def since(starts: Tensor) -> Tensor:
+    """The number of entries since the last start [n] int64, for bool ``starts`` [n]."""
+    place = torch.arange(len(starts), device=starts.device)
+    return place - torch.where(starts, place, 0).cummax(0).values

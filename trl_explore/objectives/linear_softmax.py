@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast
 
+from tensordict import TensorDictParams
 from tensordict.nn import ProbabilisticTensorDictSequential
 from torch import Tensor
 
@@ -15,7 +16,7 @@ from trl_explore.numerics.surrogate import (
 )
 from trl_explore.objectives.episodes import Episodes
 from trl_explore.policies import LinearPolicy
-from trl_explore.policies.actor import has_linear_softmax
+from trl_explore.policies.actor import SoftmaxActor, fitted, has_linear_softmax
 
 
 def linear_weight_key(actor: ProbabilisticTensorDictSequential) -> tuple[str, ...] | None:
@@ -27,6 +28,27 @@ def linear_weight_key(actor: ProbabilisticTensorDictSequential) -> tuple[str, ..
     return next(names, None)
 
 
+def linear_weight(
+    actor: ProbabilisticTensorDictSequential,
+    parameters: TensorDictParams | None,
+    key: tuple[str, ...],
+    episodes: Episodes,
+) -> Tensor | None:
+    """W [trials, n_actions, n_features]; None if π in these data is another than softmax(W s).
+
+    Args:
+        actor: a linear softmax.
+        parameters: its parameters, if it does not hold them itself.
+        key: the key of W among them.
+        episodes: the data.
+    """
+    masked = cast(SoftmaxActor, actor).action_mask_key in episodes.tensordict
+    if masked or episodes.layout.agents > 1:
+        return None
+    weight = cast(LinearPolicy, actor[0]).weight if parameters is None else parameters.get(key)
+    return weight if len(weight) == episodes.trials else None
+
+
 def closed_form(
     weight: Tensor,
     episodes: Episodes,
@@ -34,34 +56,38 @@ def closed_form(
     scale: float,
     baseline: float | None,
     factor: Callable[[], Tensor],
-) -> tuple[Tensor, Tensor] | None:
-    """S_k = scale · Σ_{t ∈ frames of trial k} A_t log π(a_t|s_t), and its gradient.
+) -> Tensor | None:
+    """S_k = scale · Σ_{t ∈ frames of trial k} A_t log π(a_t|s_t); adds ∂S/∂W to W's gradient.
 
     Args:
         weight: W [trials, n_actions, n_features].
         episodes: the data.
-        action: [frames] int64.
+        action: [frames], as indices or one-hot.
         scale: a factor of S.
         baseline: b if A_t = G_t − b; None if A_t is something else.
         factor: gives A [frames].
 
     Returns:
-        S [trials] and ∂S/∂W; None if these tensors need autograd.
+        S [trials]; None if these tensors need autograd.
     """
     observation, trial = episodes.tensordict.get("observation"), episodes.trial
+    action = fitted(action, trial.shape, weight.shape[1])
     if not _takes_gradient(weight) or not formula_applies(observation, weight, episodes.reward):
         return None
+    found = None
     if baseline is not None:
         found = linear_softmax_reinforce(
             observation, weight, action, episodes.reward, episodes.done, trial,
             gamma=episodes.gamma, baseline=baseline, scale=scale,
         )  # fmt: skip
-        if found is not None:
-            return found
-    advantage = factor()
-    if not formula_applies(observation, weight, advantage):
-        return None
-    return linear_softmax_gradient(observation, weight, action, advantage, trial, scale)
+    if found is None:
+        advantage = factor()
+        if not formula_applies(observation, weight, advantage):
+            return None
+        found = linear_softmax_gradient(observation, weight, action, advantage, trial, scale)
+    surrogate, gradient = found
+    weight.grad = gradient if weight.grad is None else weight.grad.add_(gradient)
+    return surrogate
 
 
 def _takes_gradient(weight: Tensor) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
@@ -13,13 +14,25 @@ from trl_explore.objectives.episodes import Episodes, Layout
 from trl_explore.strategies.frames import read
 
 
-class Keys(Protocol):
-    """The names of the entries that ``read_episodes`` reads."""
+@dataclass
+class Keys:
+    """The entries of the data that ``ReinforceLoss.set_keys`` can rename.
 
-    reward: NestedKey
-    done: NestedKey
-    trial: NestedKey
-    traj_ids: NestedKey
+    Args:
+        action: a_t.
+        reward: r_t, in "next".
+        done: whether the episode ended, in "next".
+        trial: the trial.
+        sample_log_prob: log μ(a_t|s_t).
+        traj_ids: TorchRL's identity of the episode.
+    """
+
+    action: NestedKey = "action"
+    reward: NestedKey = "reward"
+    done: NestedKey = "done"
+    trial: NestedKey = "trial"
+    sample_log_prob: NestedKey = "action_log_prob"
+    traj_ids: NestedKey = ("collector", "traj_ids")
 
 
 def read_episodes(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, cast
 
@@ -16,12 +15,11 @@ from torchrl.objectives.common import LossModule
 
 from trl_explore.checks import check_flag, check_integer, check_number, settle
 from trl_explore.numerics.surrogate import linear_softmax_surrogate
-from trl_explore.objectives.baselines import Baseline, Constant, as_baseline
-from trl_explore.objectives.corrections import Correction, NoCorrection, log_ratio_of
+from trl_explore.objectives.baselines import Baseline, Constant
+from trl_explore.objectives.corrections import Correction, as_correction, log_ratio_of
 from trl_explore.objectives.episodes import Episodes
-from trl_explore.objectives.linear_softmax import closed_form, linear_weight_key
-from trl_explore.objectives.reading import read_episodes
-from trl_explore.policies import LinearPolicy
+from trl_explore.objectives.linear_softmax import closed_form, linear_weight, linear_weight_key
+from trl_explore.objectives.reading import Keys, read_episodes
 from trl_explore.policies.actor import (
     GaussianActor,
     fitted,
@@ -33,8 +31,7 @@ from trl_explore.strategies import BaseStrategy
 from trl_explore.strategies.frames import read
 
 REDUCTIONS = ("sum", "mean", "none")
-EPS = 1e-8
-"""Added to the standard deviation when advantages are normalised."""
+EPS = 1e-8  # added to the standard deviation when advantages are normalised
 
 
 class ReinforceLoss(LossModule):
@@ -45,18 +42,15 @@ class ReinforceLoss(LossModule):
 
     (Williams 1992; Sutton & Barto, §13.3; thesis, §2.1 and appendix A.3). Without a correction, the
     gradient is that of the expected return only if the data are on-policy (μ = π) and γ = 1 or
-    ``discount_steps``. A correction changes A_t or replaces π by μ (``corrections``). Adam cancels
-    a constant factor such as w, apart from its ε = 1e-8.
+    ``discount_steps``. A correction changes A_t or replaces π by μ (``corrections``).
 
     An episode ends where "done" is true, and where ("collector", "traj_ids") changes. *Terminated*,
     *truncated* and cut-off episodes are treated alike: the return ends with the last reward,
     without bootstrapping. Data have one of two layouts:
 
-    * flat [frames], the episodes of one or more trials one after another ("trial" is the trial of
-      each frame; without it, all frames belong to one trial);
+    * flat [frames], episode after episode, with the "trial" of each frame (without it, one trial);
     * [*rows, time] as TorchRL's collectors deliver it (without "trial", every row is a trial; with
-      ``trials=1``, all rows are one). Frames that TorchRL marks as padding, in ("collector",
-      "mask"), are ignored.
+      ``trials=1``, all rows are one). Padding, marked in ("collector", "mask"), is ignored.
 
     Reads the actor's inputs, "action" (indices or one-hot for a categorical π), ("next", "reward")
     and ("next", "done") [*batch, 1], "trial" [*batch] int64 and, if a correction needs it,
@@ -64,9 +58,8 @@ class ReinforceLoss(LossModule):
     as ("agents", "reward"), is [*batch, agents, 1], every agent has its own returns and baseline,
     and L_k is the sum over the agents; one reward for all belongs to their joint action.
 
-    Returns "loss_actor" (reduced) and "trial_loss" [trials], the same losses before reduction,
-    detached; with a learned baseline also "loss_value" (reduced). After the update, ``step``
-    updates the baseline with the same data.
+    Returns "loss_actor" (reduced) and "trial_loss" [trials] (the same, not reduced, detached); with
+    a learned baseline also "loss_value". After the update, ``step`` updates the baseline.
 
     Args:
         actor_network: the target policy π, any ``ProbabilisticActor``.
@@ -82,50 +75,31 @@ class ReinforceLoss(LossModule):
             and correction) are scaled to mean 0 and standard deviation 1. Biased.
         entropy_coeff: c >= 0; adds −w · c · Σ_t H(π(·|s_t)) to L_k (Williams & Peng 1991); with
             ``correction=behaviour``, the entropy of μ.
-        strategy: the strategy that collects the data, with the present parameters and in the
-            present iteration; some corrections need it or reject it. Where it is the target policy
-            by construction (softmax at T = 1), importance weights are exactly 1.
+        strategy: the strategy that collects the data; some corrections need it or reject it. Where
+            it is π by construction (softmax at T = 1), importance weights are exactly 1.
         trials: the number of trials; None: the largest "trial" in the data plus one, or the rows.
         reduction: reduction over the trials' losses: "sum", "mean" or "none".
         functional: as in TorchRL: whether the parameters are copied into the loss's own container.
 
     Raises:
-        ValueError: if an argument is out of range or of another kind, the correction does not
-            support the strategy, or an entry of the data does not fit.
+        ValueError: if an argument or an entry of the data does not fit, or the correction does not
+            support the strategy.
         KeyError: if the data miss an entry.
 
     Example:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from tensordict.nn import TensorDictModule
-        >>> from torchrl.modules import ProbabilisticActor
+        >>> from torch.distributions import Categorical
         >>> logits = TensorDictModule(torch.nn.Linear(4, 2), ["observation"], ["logits"])
-        >>> actor = ProbabilisticActor(
-        ...     logits, in_keys=["logits"], distribution_class=torch.distributions.Categorical
-        ... )
-        >>> loss = ReinforceLoss(actor, gamma=0.99, weight=1.0)
-        >>> end = torch.tensor([False, False, True]).unsqueeze(-1)
-        >>> data = TensorDict({
-        ...     "observation": torch.randn(3, 4),
-        ...     "action": torch.tensor([0, 1, 1]),
-        ...     "next": {"reward": torch.ones(3, 1), "done": end},
-        ... }, [3])
-        >>> loss(data)["loss_actor"].backward()
+        >>> actor = ProbabilisticActor(logits, in_keys=["logits"], distribution_class=Categorical)
+        >>> after = {"reward": torch.ones(3, 1), "done": torch.tensor([[False], [False], [True]])}
+        >>> data = {"observation": torch.ones(3, 4), "action": torch.zeros(3).long(), "next": after}
+        >>> ReinforceLoss(actor)(TensorDict(data, [3]))["loss_actor"].backward()
     """
 
-    @dataclass
-    class _AcceptedKeys:
-        """The entries that ``set_keys`` can rename."""
-
-        action: NestedKey = "action"
-        reward: NestedKey = "reward"
-        done: NestedKey = "done"
-        trial: NestedKey = "trial"
-        sample_log_prob: NestedKey = "action_log_prob"
-        traj_ids: NestedKey = ("collector", "traj_ids")
-
-    tensor_keys: _AcceptedKeys
-    default_keys = _AcceptedKeys
+    _AcceptedKeys = default_keys = Keys  # pyright: ignore[reportAssignmentType]
+    tensor_keys: Keys
     out_keys = ["loss_actor", "trial_loss"]  # noqa: RUF012  # pyright: ignore
     closed_form: ClassVar[bool] = True
     """Whether ``backward`` may use a closed form instead of ``forward`` and autograd. False in a
@@ -160,15 +134,20 @@ class ReinforceLoss(LossModule):
         self._in_keys = None
         self.gamma = check_number("gamma", gamma, 0, 1)
         self.weight = check_number("weight", weight, 0, low_open=True)
-        self.baseline = as_baseline(baseline)
-        self.correction = _checked(actor_network, correction or NoCorrection())
+        self.baseline = baseline if isinstance(baseline, Baseline) else Constant(baseline)
+        if not hasattr(actor_network, "get_dist"):
+            raise ValueError(
+                f"actor_network must be a ProbabilisticActor, got {type(actor_network).__name__}, "
+                "which gives no probability of an action"
+            )
+        self.correction = as_correction(correction)
         self.discount_steps = check_flag("discount_steps", discount_steps)
         self.normalize_advantage = check_flag("normalize_advantage", normalize_advantage)
         self.entropy_coeff = check_number("entropy_coeff", entropy_coeff, 0)
         actor_network = self.correction.actor(cast(ProbabilisticActor, actor_network), strategy)
         known = isinstance(actor_network, GaussianActor) or is_softmax(actor_network)
         # A function, so that the strategy does not become a part of the loss's state.
-        self._on_policy = _never
+        self._on_policy = bool  # gives False
         if strategy is not None and known:
             self._on_policy = partial(self.correction.on_policy, strategy)
         self.trials = None if trials is None else check_integer("trials", trials, 1)
@@ -176,12 +155,11 @@ class ReinforceLoss(LossModule):
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}")
         self.reduction = reduction
         self._weight_key = linear_weight_key(actor_network)
-        self._mask_key = actor_network.action_mask_key if is_softmax(actor_network) else None
         apart = self.entropy_coeff > 0 or reduction == "mean"
         self._has_closed_form = self.closed_form and self._weight_key is not None and not apart
         plain = self.correction.leaves_returns and not (discount_steps or normalize_advantage)
-        fixed = self.baseline.value if isinstance(self.baseline, Constant) else None
-        self._constant: float | None = fixed if plain else None  # if A_t is exactly G_t − b
+        fixed = plain and isinstance(self.baseline, Constant)  # A_t is exactly G_t − b
+        self._constant = cast(Constant, self.baseline).value if fixed else None
         if functional:
             self.convert_to_functional(actor_network, "actor_network", create_target_params=False)
         else:
@@ -200,8 +178,7 @@ class ReinforceLoss(LossModule):
             own = [keys.action, ("next", keys.reward), ("next", keys.done), keys.trial]
             if self.correction.needs_log_prob:
                 own.append(keys.sample_log_prob)
-            actors = [key for key in self.actor_network.in_keys if key not in own]
-            self._in_keys = [*own, *actors]
+            self._in_keys = list(dict.fromkeys([*own, *self.actor_network.in_keys]))
         return self._in_keys
 
     @in_keys.setter
@@ -216,18 +193,15 @@ class ReinforceLoss(LossModule):
         """The losses of a batch of episodes."""
         episodes = self._episodes(tensordict)
         frames, action = episodes.tensordict, read(episodes.tensordict, self.tensor_keys.action)
+        factor, weight = self._factor(episodes, action), self._linear_weight(episodes)
         with self._with_parameters():
-            factor = self._factor(episodes, action)
-            weight = self._linear_weight(episodes)
             if weight is None:
                 log_prob = episodes.flat(frame_log_prob(self.actor_network, frames, action))
                 surrogate = episodes.by_trial(log_prob * factor)
             else:
                 action = fitted(action, episodes.trial.shape, weight.shape[1])
-                observation = frames.get("observation")
-                surrogate = linear_softmax_surrogate(
-                    observation, weight, action, factor, episodes.trial
-                )
+                observation, trial = frames.get("observation"), episodes.trial
+                surrogate = linear_softmax_surrogate(observation, weight, action, factor, trial)
             trial_loss = surrogate * -self.weight
             if self.entropy_coeff:
                 bonus = episodes.by_trial(episodes.flat(frame_entropy(self.actor_network, frames)))
@@ -242,65 +216,46 @@ class ReinforceLoss(LossModule):
     def backward(self, tensordict: TensorDictBase) -> Tensor:
         """Accumulate the gradient of the sum of all losses, and return "trial_loss".
 
-        If π is the softmax of a linear policy, the gradient has a closed form, which takes a
-        fraction of autograd's time and gives the same bits. The choice between the two is made when
-        the loss is built, so hooks of the policy are called only if they are registered before
-        that. Hooks of its weights are always called.
+        The softmax of a linear policy has a closed form, with the same bits in a fraction of
+        autograd's time, chosen when the loss is built: hooks that the policy gets later are not
+        called, but those of its weights always are.
         """
-        found = self._closed_form(tensordict) if self._has_closed_form else None
-        if found is not None:
-            return found
+        if self._has_closed_form:
+            episodes = self._episodes(tensordict)
+            weight = self._linear_weight(episodes)
+            trial_loss = None if weight is None else self._closed_form(episodes, weight)
+            if trial_loss is not None:
+                return trial_loss
         losses = self.forward(tensordict)
-        total = losses.get("loss_actor").sum()
-        value_loss = losses.get("loss_value", None)
-        (total if value_loss is None else total + value_loss.sum()).backward()
+        parts = [losses.get(key).sum() for key in ("loss_actor", "loss_value") if key in losses]
+        cast(Tensor, sum(parts)).backward()
         return losses.get("trial_loss")
 
-    def _closed_form(self, tensordict: TensorDictBase) -> Tensor | None:
+    def _closed_form(self, episodes: Episodes, weight: Tensor) -> Tensor | None:
         """``backward`` without a graph; None if the closed form does not apply to these data."""
-        episodes = self._episodes(tensordict)
-        weight = self._linear_weight(episodes)
-        if weight is None:
-            return None
         action = read(episodes.tensordict, self.tensor_keys.action)
-        action = fitted(action, episodes.trial.shape, weight.shape[1])
-
-        def factor() -> Tensor:
-            with self._with_parameters():
-                return self._factor(episodes, action)
-
-        found = closed_form(weight, episodes, action, -self.weight, self._constant, factor)
-        if found is None:
-            return None
-        trial_loss, gradient = found
-        weight.grad = gradient if weight.grad is None else weight.grad.add_(gradient)
-        value_loss = self.baseline.loss(episodes)
+        factor = partial(self._factor, episodes, action)
+        trial_loss = closed_form(weight, episodes, action, -self.weight, self._constant, factor)
+        value_loss = None if trial_loss is None else self.baseline.loss(episodes)
         if value_loss is not None:
             value_loss.sum().backward()
         return trial_loss
 
     def _linear_weight(self, episodes: Episodes) -> Tensor | None:
-        """W [trials, n_actions, n_features] of a linear softmax; None if a mask changes π."""
-        if self._weight_key is None or episodes.layout.agents > 1:
+        """W [trials, n_actions, n_features] of a linear softmax; None if π of the data is none."""
+        if self._weight_key is None:
             return None
-        if self._mask_key in episodes.tensordict:
-            return None
-        if self.functional:
-            weight = self.actor_network_params.get(self._weight_key)
-        else:
-            weight = cast(LinearPolicy, self.actor_network[0]).weight
-        return weight if len(weight) == episodes.trials else None
+        parameters = self.actor_network_params if self.functional else None
+        return linear_weight(self.actor_network, parameters, self._weight_key, episodes)
 
     def advantage(self, tensordict: TensorDictBase) -> Tensor:
-        """The factor of ∇log π(a_t|s_t) for every frame, in the shape of the data.
+        """The factor of ∇log π(a_t|s_t) [*batch], or [*batch, agents]; 0 for padding.
 
-        G_t − b_t [*batch] without a correction; [*batch, agents] with several rewards; 0 for
-        padding.
+        Without a correction, it is G_t − b_t.
         """
         episodes = self._episodes(tensordict)
         action = read(episodes.tensordict, self.tensor_keys.action)
-        with self._with_parameters():
-            return episodes.restore(self._factor(episodes, action))
+        return episodes.restore(self._factor(episodes, action))
 
     def step(self, tensordict: TensorDictBase) -> None:
         """Update the baseline with an iteration's data; call once, after the update."""
@@ -314,7 +269,8 @@ class ReinforceLoss(LossModule):
         if self.correction.needs_log_prob:
             behaviour = read(episodes.tensordict, self.tensor_keys.sample_log_prob)
             actor, correction = self.actor_network, self.correction
-            numerator = correction.log_numerator(actor, episodes.tensordict, action)
+            with self._with_parameters():
+                numerator = correction.log_numerator(actor, episodes.tensordict, action)
             log_ratio = log_ratio_of(episodes.flat(numerator), episodes.flat(behaviour))
             on_policy = torch.as_tensor(self._on_policy(), device=log_ratio.device)
             trial = episodes.trial // episodes.layout.agents
@@ -340,22 +296,4 @@ class ReinforceLoss(LossModule):
         return contextlib.nullcontext()
 
     def _reduce(self, trial_loss: Tensor) -> Tensor:
-        if self.reduction == "sum":
-            return trial_loss.sum()
-        return trial_loss.mean() if self.reduction == "mean" else trial_loss
-
-
-def _checked(actor: object, correction: Correction) -> Correction:
-    """The correction, if it and the actor are of the right kind."""
-    if not hasattr(actor, "get_dist"):
-        raise ValueError(
-            f"actor_network must be a ProbabilisticActor, got {type(actor).__name__}, "
-            "which gives no probability of an action"
-        )
-    if not isinstance(correction, NoCorrection):
-        raise ValueError(f"correction must be an object such as PerStep(), got {correction!r}")
-    return correction
-
-
-def _never() -> bool:
-    return False
+        return trial_loss if self.reduction == "none" else getattr(trial_loss, self.reduction)()

@@ -13,8 +13,8 @@ For every strategy that was run together with softmax, three questions:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from math import inf
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from trl_explore.names import option_of, strategy_label, symbol
 from trl_explore.report.curves import Heights
 from trl_explore.report.factors import canonical
-from trl_explore.report.groups import Group
 from trl_explore.statistics.comparisons import holm
 from trl_explore.statistics.decomposition import Cells, aligned, share_of
 from trl_explore.statistics.estimates import LEVEL, Estimate
@@ -44,19 +43,16 @@ class Run:
     learned: Outcomes | None = None
     heights: Heights | None = None
 
+    def group(self, name: str) -> Mapping[str, Any]:
+        """A group of its configuration."""
+        return self.passed.config.get(name, {})
+
     @property
     def option(self) -> str:
         """The class of its correction; empty if weights are clipped or normalised."""
-        correction = self.passed.config.get("correction", {})
-        unusual = correction.get("clip") is not None or correction.get("self_normalize")
+        unusual = self.group("correction").get("clip") is not None
+        unusual = unusual or self.group("correction").get("self_normalize")
         return "" if unusual else option_of(self.passed.config, "correction")
-
-    @property
-    def is_reference(self) -> bool:
-        """Whether the actions are drawn from the policy itself."""
-        return (
-            self.passed.strategy == REFERENCE and self.passed.parameters.get("temperature", 1) == 1
-        )
 
     @property
     def acts(self) -> str:
@@ -64,14 +60,14 @@ class Run:
         return canonical([self.passed.strategy, self.passed.config.get("strategy")])
 
     @property
-    def strategy(self) -> str:
-        """Canonical text of the strategy alone, as a correction may name it."""
-        return canonical(self.passed.config.get("strategy"))
-
-    @property
-    def assumes(self) -> str:
-        """Canonical text of the strategy that its correction names."""
-        return canonical(self.passed.config.get("correction", {}).get("strategy"))
+    def world(self) -> str:
+        """Canonical text of everything but the strategy and the correction."""
+        o = self.passed
+        groups = {key: o.config.get(key) for key in AGENT_GROUPS if key != "correction"}
+        if isinstance(env := groups.get("env"), Mapping):
+            groups["env"] = {key: value for key, value in env.items() if key not in NO_AGENT}
+        return canonical([groups, o.cap, o.threshold, o.window,
+                          o.config.get("stop_on", "training")])  # fmt: skip
 
     def samples(self) -> dict[str, Sample]:
         """Quantity -> its sample; without the quantities that are unknown."""
@@ -79,16 +75,11 @@ class Run:
         if self.learned is not None:
             found |= {"learning": iterations(self.learned), "learned_score": scores(self.learned)}
         if (h := self.heights) is not None:
-            heights = {
-                "height": h.learned, "behaved": h.behaved, "evaluated": h.evaluated,
-                "handicap": h.evaluated - h.behaved,
-            }  # fmt: skip
-            passed = np.ones(len(h.keys), dtype=np.bool_)
-            keys, scored = tuple(h.keys), score_range(self.passed.config.get("env"))
-            found |= {
-                k: Sample(k, "", x, passed, keys, bounds=(-inf, inf) if k == "handicap" else scored)
-                for k, x in heights.items()
-            }
+            keys, bounds = tuple(h.keys), score_range(self.group("env"))
+            passed = np.ones(len(keys), dtype=np.bool_)
+            heights = {"height": h.learned, "behaved": h.behaved, "evaluated": h.evaluated}
+            found |= {k: Sample(k, "", x, passed, keys, bounds=bounds) for k, x in heights.items()}
+            found["handicap"] = Sample("handicap", "", h.evaluated - h.behaved, passed, keys)
         return found
 
 
@@ -105,72 +96,51 @@ class Crossing:
     cells: Mapping[str, Run]
 
 
-def runs_of(group: Group, heights: Mapping[str, Heights]) -> list[Run]:
-    """The configurations of a group."""
-    learned = {c.name: c for c in group.learned}
-    return [
-        Run(group.environment, c, learned.get(c.name), heights.get(c.name))
-        for c in group.configurations
-    ]
-
-
 def crossings(runs: Sequence[Run]) -> list[Crossing]:
     """Every strategy that was run together with softmax and has a further cell, in their order.
 
     The cells may belong to several experiments, but agree in everything else: environment, policy,
     loss, optimiser and stopping rule.
     """
-    found = []
-    places = _places(runs)
+    found, places = [], _places(runs)
     for plain in runs:
-        mates = [run for run in runs if _world(run) == _world(plain)]
-        if plain.option != PLAIN or plain.is_reference or _first(mates, PLAIN, plain) is not plain:
+        mates = [run for run in runs if run.world == plain.world]
+        own = {run.option: run for run in reversed(mates) if run.acts == plain.acts}
+        softmax = [run for run in mates if run.passed.strategy == REFERENCE
+                   and run.passed.parameters.get("temperature", 1) == 1]  # fmt: skip
+        if plain.option != PLAIN or plain in softmax or own[PLAIN] is not plain:
             continue
-        softmax = [run for run in mates if run.is_reference]
         right = [run for option in (PLAIN, RATIO) for run in softmax if run.option == option]
-        cells = {"reference": right[0] if right else None, "plain": plain} | {
-            "assumed": next((r for r in softmax if r.option == AS_IF
-                             and r.assumes == plain.strategy), None),
-            "corrected": _first(mates, RATIO, plain),
+        strategy = canonical(plain.passed.config.get("strategy"))
+        biased = [run for run in softmax if run.option == AS_IF
+                  and canonical(run.group("correction").get("strategy")) == strategy]  # fmt: skip
+        cells = {
+            "reference": next(iter(right), None), "plain": plain,
+            "assumed": next(iter(biased), None), "corrected": own.get(RATIO),
         }  # fmt: skip
         known = {name: run for name, run in cells.items() if run is not None}
         if right and len(known) > 2:
-            found.append(Crossing(places[_world(plain)], _label(plain, mates), known))
+            found.append(Crossing(places[plain.world], _label(plain, mates), known))
     return found
-
-
-def _first(runs: Sequence[Run], option: str, acting: Run) -> Run | None:
-    return next((r for r in runs if r.option == option and r.acts == acting.acts), None)
 
 
 def _label(run: Run, runs: Sequence[Run]) -> str:
     """The strategy; with its parameters if there are several of the name."""
     name, own = run.passed.strategy, run.passed.parameters
-    alike = {r.acts for r in runs if r.passed.strategy == name}
-    if len(alike) < 2:
-        return strategy_label(name)
-    shown = (f"{symbol(k)} = {v:g}" for k, v in own.items() if isinstance(v, int | float))
-    return ", ".join([strategy_label(name), *shown])
+    several = len({r.acts for r in runs if r.passed.strategy == name}) > 1
+    shown = [f"{symbol(k)} = {v:g}" for k, v in own.items() if isinstance(v, int | float)]
+    return ", ".join([strategy_label(name), *(shown if several else ())])
 
 
 def _places(runs: Sequence[Run]) -> dict[str, str]:
     """The name of every environment and its other settings, unique: "CartPole-v1, 2"."""
     found: dict[str, str] = {}
     for run in runs:
-        if _world(run) not in found:
+        if run.world not in found:
             name = run.environment
             count = sum(o == name or o.startswith(f"{name}, ") for o in found.values())
-            found[_world(run)] = f"{name}, {count + 1}" if count else name
+            found[run.world] = f"{name}, {count + 1}" if count else name
     return found
-
-
-def _world(run: Run) -> str:
-    """Canonical text of everything but the strategy and the correction."""
-    config, o = run.passed.config, run.passed
-    groups = {key: config.get(key) for key in AGENT_GROUPS if key != "correction"}
-    if isinstance(env := groups.get("env"), Mapping):
-        groups["env"] = {key: value for key, value in env.items() if key not in NO_AGENT}
-    return canonical([groups, o.cap, o.threshold, o.window, config.get("stop_on", "training")])
 
 
 QUANTITIES: Mapping[str, str] = {
@@ -198,7 +168,7 @@ class Acting:
     handicap: Estimate
 
 
-@dataclass(frozen=True)
+@dataclass
 class Parts:
     """The difference between a strategy and softmax in one quantity, and its parts.
 
@@ -267,73 +237,77 @@ class Decomposition:
 
 
 def decompose(runs: Sequence[Run], level: float = LEVEL) -> list[Decomposition]:
-    """The decompositions of all strategies that the runs of a report allow, in their order."""
+    """The decompositions of all strategies that the runs of a report allow, in their order.
+
+    The p-values of the data are corrected over the strategies of an environment.
+    """
     found = []
     for c in crossings(runs):
-        parts = {q: p for q in QUANTITIES if (p := _parts(q, c, level)) is not None}
+        samples = {name: run.samples() for name, run in c.cells.items()}
+        parts = {q: p for q in QUANTITIES if (p := _parts(q, samples, level)) is not None}
         if parts:
             found.append(
                 Decomposition(
                     environment=c.environment,
                     strategy=c.label,
                     name=c.cells["plain"].passed.strategy,
-                    acting={k: a for k, run in c.cells.items() if (a := _acting(run, level))},
-                    acting_share=_acting_share(c, level),
+                    acting={
+                        cell: Acting(
+                            *(mean_interval(own[k], level=level)
+                              for k in ("behaved", "evaluated", "handicap"))
+                        )
+                        for cell, own in samples.items()
+                        if "handicap" in own
+                    },
+                    acting_share=_acting_share(samples, level),
                     parts=parts,
-                    passes=_passes(c),
+                    passes=_passes(c.cells),
                 )
-            )
-    return _with_holm(found)
+            )  # fmt: skip
+    for environment in dict.fromkeys(d.environment for d in found):
+        for quantity in QUANTITIES:
+            tested = [p for d in found if d.environment == environment
+                      and (p := d.parts.get(quantity)) and p.p_data is not None]  # fmt: skip
+            for part, p in zip(tested, holm([p.p_data for p in tested]), strict=True):
+                part.p_data = p
+    return found
 
 
-def _parts(quantity: str, crossing: Crossing, level: float) -> Parts | None:
+def _parts(quantity: str, cells: Mapping[str, Mapping[str, Sample]], level: float) -> Parts | None:
     """The parts of one quantity; None if a cell that is needed lacks it, or no trial is common."""
-    samples = {
-        name: sample
-        for name, run in crossing.cells.items()
-        if (sample := run.samples().get(quantity)) is not None
-    }
+    samples = {name: own[quantity] for name, own in cells.items() if quantity in own}
     if not {"reference", "plain"} < samples.keys():
         return None
     arrays = aligned([s.keys for s in samples.values()], [s.values for s in samples.values()])
-    cells = Cells(**dict(zip(samples, arrays, strict=True)))
-    if len(cells.gap) < 2:
+    x = Cells(**dict(zip(samples, arrays, strict=True)))
+    if len(x.gap) < 2:
         return None
     gap = mean_difference(samples["plain"], samples["reference"], level=level).estimate
-    least = LEAST * max(abs(cells.plain.mean()), abs(cells.reference.mean()))
+    least = LEAST * max(abs(x.plain.mean()), abs(x.reference.mean()))
     divisible = gap.outside(0.0, 0.0) and abs(gap.value) >= least
 
     def share(part: NDArray[np.float64]) -> Estimate:
-        return share_of(part, cells.gap, level=level) if divisible else NOT_ESTIMABLE
+        return share_of(part, x.gap, level=level) if divisible else NOT_ESTIMABLE
 
-    assumed, corrected = cells.assumed, cells.corrected
     data = None
-    if "corrected" in samples:
+    if x.corrected is not None:
         data = mean_difference(samples["corrected"], samples["reference"], level=level)
     return Parts(
         quantity=quantity,
-        n=len(cells.gap),
-        reference=float(cells.reference.mean()),
-        plain=float(cells.plain.mean()),
+        n=len(x.gap),
+        reference=float(x.reference.mean()),
+        plain=float(x.plain.mean()),
         gap=gap,
-        assumed=None if assumed is None else share(assumed - cells.reference),
-        corrected=None if corrected is None else share(cells.plain - corrected),
-        bias=share(cells.bias),
+        assumed=None if x.assumed is None else share(x.assumed - x.reference),
+        corrected=None if x.corrected is None else share(x.plain - x.corrected),
+        bias=share(x.bias),
         data=data.estimate if data else None,
         p_data=data.p_value if data else None,
     )
 
 
-def _acting(run: Run, level: float) -> Acting | None:
-    samples = run.samples()
-    if "handicap" not in samples:
-        return None
-    quantities = ("behaved", "evaluated", "handicap")
-    return Acting(*(mean_interval(samples[k], level=level) for k in quantities))
-
-
-def _acting_share(crossing: Crossing, level: float) -> Estimate | None:
-    pair = [crossing.cells[name].samples() for name in ("plain", "reference")]
+def _acting_share(cells: Mapping[str, Mapping[str, Sample]], level: float) -> Estimate | None:
+    pair = [cells[name] for name in ("plain", "reference")]
     if any("handicap" not in samples for samples in pair):
         return None
     keys = [samples["behaved"].keys for samples in pair]
@@ -345,29 +319,10 @@ def _acting_share(crossing: Crossing, level: float) -> Estimate | None:
     return share_of(handicap[1] - handicap[0], behaved[0] - behaved[1], level=level)
 
 
-def _passes(crossing: Crossing) -> tuple[int, int, int] | None:
-    if "corrected" not in crossing.cells:
+def _passes(cells: Mapping[str, Run]) -> tuple[int, int, int] | None:
+    if "corrected" not in cells:
         return None
-    both = [crossing.cells[name].passed for name in ("plain", "corrected")]
+    both = [cells[name].passed for name in ("plain", "corrected")]
     values = [o.converged.astype(np.float64) for o in both]
     plain, corrected = aligned([trial_keys(o) for o in both], values)
     return int(plain.sum()), int(corrected.sum()), len(plain)
-
-
-def _with_holm(found: Sequence[Decomposition]) -> list[Decomposition]:
-    """The p-values of the data, corrected over the strategies of an environment."""
-    result = list(found)
-    for environment in dict.fromkeys(d.environment for d in found):
-        for quantity in QUANTITIES:
-            tested = {
-                k: p
-                for k, d in enumerate(found)
-                if d.environment == environment
-                and (part := d.parts.get(quantity)) is not None
-                and (p := part.p_data) is not None
-            }
-            for k, p in zip(tested, holm(list(tested.values())), strict=True):
-                parts = result[k].parts
-                part = replace(parts[quantity], p_data=p)
-                result[k] = replace(result[k], parts={**parts, quantity: part})
-    return result

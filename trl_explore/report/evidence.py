@@ -8,9 +8,14 @@ from itertools import combinations
 
 from trl_explore.names import experiment, experiment_rank
 from trl_explore.report.curves import Traces, read_traces
-from trl_explore.report.decomposition import Decomposition, decompose, runs_of
+from trl_explore.report.decomposition import Decomposition, Run, decompose
 from trl_explore.report.groups import Group, group_jobs
-from trl_explore.report.layouts import pairs_by_size, size_sentence
+from trl_explore.report.layouts import (
+    option_sentences,
+    pairs_by_size,
+    plane_sentences,
+    size_sentence,
+)
 from trl_explore.report.loading import Gap, Loaded, Say, silent
 from trl_explore.report.questions import Question
 from trl_explore.report.selecting import asked, own_claims, without
@@ -18,8 +23,6 @@ from trl_explore.report.sentences import (
     alone,
     answer,
     confounded_sentence,
-    option_sentences,
-    plane_sentences,
     question_sentence,
     score_sentence,
     verdicts,
@@ -153,7 +156,11 @@ def gather(loaded: Loaded, study: StudyFile | None = None, say: Say = silent) ->
     say(0.4, "statements")
     checked = _checked(data, study)
     reexamined, causes = _why(data)
-    runs = [run for p in parts for run in runs_of(p.group, p.traces.heights)]
+    runs = []
+    for p in parts:
+        learned = {c.name: c for c in p.group.learned}
+        runs += [Run(p.group.environment, c, learned.get(c.name), p.traces.heights.get(c.name))
+                 for c in p.group.configurations]  # fmt: skip
     decompositions = decompose(runs, study.level)
     return Evidence(
         study=study,

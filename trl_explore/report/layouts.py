@@ -1,6 +1,6 @@
 """Layouts of configurations: rows crossed with options, a plane of two parameters, sizes of a task.
 
-A layout decides which pairs are compared and how the figures are arranged.
+A layout decides which pairs are compared, how the figures are arranged, and what is said.
 """
 
 from __future__ import annotations
@@ -10,6 +10,9 @@ from dataclasses import dataclass
 
 from trl_explore.names import OPTIONS, strategy_label, symbol
 from trl_explore.report.factors import factors_of, label_parts, swept_parameters
+from trl_explore.report.tables import capital, some
+from trl_explore.statistics.comparisons import Comparison
+from trl_explore.statistics.estimates import LEVEL, pass_rate
 from trl_explore.statistics.outcomes import Outcomes
 
 THESIS: Mapping[str, float] = {"epsilon": 0.0, "temperature": 1.0}
@@ -163,3 +166,66 @@ def size_sentence(configurations: Sequence[Outcomes]) -> str:
         if shares:
             texts.append(f"{title}: " * bool(title) + ", ".join(shares))
     return f"Passed at size {largest:g}: {'; '.join(texts)}."
+
+
+def option_sentences(
+    comparisons: Sequence[Comparison], cells: Mapping[str, tuple[str, str]]
+) -> tuple[str, ...]:
+    """One sentence for each option: where it needs fewer or more iterations than the first option.
+
+    ``comparisons`` are those of the first option with another in the same row, corrected together;
+    ``cells`` has the labels of the (row, option) of each configuration.
+    """
+    by: dict[str, list[tuple[str, Comparison]]] = {}
+    for c in comparisons:
+        row, option = cells[c.b]
+        by.setdefault(option, []).append((row, c))
+    sentences = []
+    for option, found in by.items():
+        first = cells[found[0][1].a][1]
+        parts = []
+        for word, sign in (("fewer", 1), ("more", -1)):
+            rows = [
+                f"{row} ({sign * c.difference.value:,.0f})"
+                for row, c in found
+                if c.winner == (c.b if sign > 0 else c.a)
+            ]
+            if rows:
+                parts.append(f"{word} iterations under {some(rows)}")
+        for same, text in (
+            ("identical", "identical trials under"),
+            ("neither passes", "no trial passes with either under"),
+            ("", "no significant difference under"),
+        ):
+            rows = [row for row, c in found if c.winner is None and c.same == same]
+            parts += [f"{text} {some(rows)}"] if rows else []
+        sentences.append(f"{capital(option)} against {first}: {'; '.join(parts)}.")
+    return tuple(sentences)
+
+
+def plane_sentences(
+    configurations: Sequence[Outcomes],
+    comparisons: Sequence[Comparison],
+    labels: Mapping[str, str],
+    level: float = LEVEL,
+) -> tuple[str, ...]:
+    """State which points of a plane pass, which is fastest, and which beat the reference."""
+    rates = [pass_rate(int(c.converged.sum()), len(c), level=level) for c in configurations]
+    best = min(configurations, key=lambda c: float(c.durations.mean()))
+    text = (
+        f"Of {len(configurations)} points, {sum(r.above(0.8) for r in rates)} pass in more than"
+        f" 80 % of trials and {sum(r.below(0.2) for r in rates)} in less than 20 % (intervals of"
+        f" {100 * level:g} %). {capital(labels[best.name])} has the smallest mean,"
+        f" {best.durations.mean():.0f} iterations; as the best of many, it is optimistic."
+    )
+    if not comparisons:
+        return (text,)
+    faster = [c for c in comparisons if c.winner == c.b]
+    slower = [c for c in comparisons if c.winner == c.a]
+    named = f": {some([labels[c.b] for c in faster])}" if faster else ""
+    return (
+        text,
+        f"Against {labels[comparisons[0].a]}, the thesis’s softmax, {len(faster)} of"
+        f" {len(comparisons)} points need significantly fewer iterations after Holm’s correction"
+        f"{named}; {len(slower)} need significantly more.",
+    )

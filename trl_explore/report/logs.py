@@ -80,7 +80,7 @@ def build_page(
         facts=f"{used} runs, {len(by_configuration(runs))} configurations, one number of each run"
         " in every test.",
         setup=_setup(runs, found, source, others),
-        threshold=found[0].threshold,
+        timed=any(task.threshold is not None for task in found),
         level=f"{100 * LEVEL:g} %",
         versions=[f"{name} {version(name)}" for name in ("trl_explore", "numpy", "scipy")],
         most=max(len(c) for task in found for c in task.configurations),
@@ -114,7 +114,10 @@ def _title(found: Sequence[Task]) -> str:
 def _setup(
     runs: Sequence[Run], found: Sequence[Task], source: str, others: Sequence[str]
 ) -> list[tuple[str, str]]:
-    of, threshold = "episodes" if runs[0].episodes else "points", found[0].threshold
+    of = "episodes" if runs[0].episodes else "points"
+    levels = {"" if t.threshold is None else f"> {t.threshold:g}" for t in found}
+    if len(levels) > 1:
+        levels = {f"{t.environment}: > {t.threshold:g}" for t in found if t.threshold is not None}
     windows = sorted({task.window for task in found})
     window = ", ".join(f"mean of the last {n} {of}" if n > 1 else "every point" for n in windows)
     horizons = {f"{task.environment or 'all'}: {task.horizon:,.0f}" for task in found}
@@ -123,7 +126,7 @@ def _setup(
         ("read with", f"--from {source}"),
         ("score", f"{runs[0].score}, {window}"),
         ("steps", runs[0].step),
-        ("threshold", "none: no times (--threshold)" if threshold is None else f"> {threshold:g}"),
+        ("threshold", ", ".join(sorted(levels)) or "none: no times (--threshold)"),
         ("judged up to step", ", ".join(sorted(horizons))),
         *([("also logged, not used", ", ".join(others[:12]) + more)] if others else []),
     ]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import nan
 
 from trl_explore.names import strategy_label
 from trl_explore.report.groups import Group
 from trl_explore.report.questions import Confound, Question
-from trl_explore.report.tables import FEW, MOST, figure, interval, listed, negated, some
+from trl_explore.report.tables import FEW, MOST, capital, figure, interval, listed, negated, some
 from trl_explore.statistics.comparisons import Comparison
-from trl_explore.statistics.estimates import LEVEL, pass_rate
+from trl_explore.statistics.estimates import LEVEL, Estimate, pass_rate
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.power import trials_text
 from trl_explore.thesis import FAILS, HOLDS, NOT_MEASURED, OPEN, Checked
@@ -91,30 +92,41 @@ def _block(
     configurations: Sequence[Outcomes],
     words: Mapping[str, str],
 ) -> str:
-    did = _did(configurations)
-    means = {c.name: float(c.durations.mean()) for c in configurations}
-    passing = [c for c in configurations if c.converged.any()]
-    if not passing:
-        return f"no trial {did} under {some([words[c.name] for c in configurations])}"
-    best, *rest = sorted(means, key=lambda name: means[name])
-    equals = [words[n] for n in rest if _winner(best, n, comparisons) != best]
-    second = rest[0]
-    pair = next(c for c in comparisons if {c.a, c.b} == {best, second})
-    fewer = interval(pair.difference if pair.a == second else negated(pair.difference))
-    if means[best] == means[second]:
-        alike = some([words[n] for n in means if means[n] == means[best]])
-        return f"{alike} have the same mean, {means[best]:,.0f} iterations (difference {fewer})"
-    last = f", and {words[rest[-1]]} {means[rest[-1]]:,.0f}" if len(rest) > 1 else ""
+    if not any(c.converged.any() for c in configurations):
+        names = some([words[c.name] for c in configurations])
+        return f"no trial {_did(configurations)} under {names}"
+    best, rest, equals, fewer = _ranked(configurations, comparisons)
+    mean = f"{best.durations.mean():,.0f} iterations"
+    if best.durations.mean() == rest[0].durations.mean():
+        alike = some([words[c.name] for c in configurations
+                      if c.durations.mean() == best.durations.mean()])  # fmt: skip
+        return f"{alike} have the same mean, {mean} (difference {interval(fewer)})"
+    last = f", and {words[rest[-1].name]} {rest[-1].durations.mean():,.0f}" * (len(rest) > 1)
+    saved = f"{interval(fewer)} fewer than {words[rest[0].name]}"
     if not equals:
-        return (
-            f"{words[best]} is fastest, {means[best]:,.0f} iterations, {fewer} fewer than"
-            f" {words[second]}{last}"
-        )
-    others = "any other" if len(equals) == len(rest) > FEW else some(equals)
+        return f"{words[best.name]} is fastest, {mean}, {saved}{last}"
+    others = "any other" if len(equals) == len(rest) > FEW else some([words[n] for n in equals])
     return (
-        f"{words[best]} has the smallest mean, {means[best]:,.0f} iterations, but is not"
-        f" significantly faster than {others} ({fewer} fewer than {words[second]}){last}"
+        f"{words[best.name]} has the smallest mean, {mean}, but is not significantly faster than"
+        f" {others} ({saved}){last}"
     )
+
+
+def _ranked(
+    configurations: Sequence[Outcomes], comparisons: Sequence[Comparison]
+) -> tuple[Outcomes, list[Outcomes], list[str], Estimate]:
+    """The best, the others by their mean, those not beaten, and what the best saves on the next.
+
+    What it saves is NaN if that pair was not compared.
+    """
+    best, *rest = sorted(configurations, key=lambda c: (c.durations.mean(), not c.converged.any()))
+    pairs = {frozenset((c.a, c.b)): c for c in comparisons}
+    found = {c.name: pairs.get(frozenset((best.name, c.name))) for c in rest}
+    equals = [name for name, c in found.items() if c is None or c.winner != best.name]
+    fewer = Estimate(nan, nan, nan)
+    if (pair := found[rest[0].name]) is not None:
+        fewer = pair.difference if pair.b == best.name else negated(pair.difference)
+    return best, rest, equals, fewer
 
 
 def confounded_sentence(confound: Confound, group: Group) -> str:
@@ -147,41 +159,6 @@ def alone(groups: Sequence[Group]) -> tuple[str, ...]:
         "Not compared, because no other job has the same environment and stopping rule:"
         f" {some(names)}.",
     )
-
-
-def option_sentences(
-    comparisons: Sequence[Comparison], cells: Mapping[str, tuple[str, str]]
-) -> tuple[str, ...]:
-    """One sentence for each option: where it needs fewer or more iterations than the first option.
-
-    ``comparisons`` are those of the first option with another in the same row, corrected together;
-    ``cells`` has the labels of the (row, option) of each configuration.
-    """
-    by: dict[str, list[tuple[str, Comparison]]] = {}
-    for c in comparisons:
-        row, option = cells[c.b]
-        by.setdefault(option, []).append((row, c))
-    sentences = []
-    for option, found in by.items():
-        first = cells[found[0][1].a][1]
-        parts = []
-        for word, sign in (("fewer", 1), ("more", -1)):
-            rows = [
-                f"{row} ({sign * c.difference.value:,.0f})"
-                for row, c in found
-                if c.winner == (c.b if sign > 0 else c.a)
-            ]
-            if rows:
-                parts.append(f"{word} iterations under {some(rows)}")
-        for same, text in (
-            ("identical", "identical trials under"),
-            ("neither passes", "no trial passes with either under"),
-            ("", "no significant difference under"),
-        ):
-            rows = [row for row, c in found if c.winner is None and c.same == same]
-            parts += [f"{text} {some(rows)}"] if rows else []
-        sentences.append(f"{_capital(option)} against {first}: {'; '.join(parts)}.")
-    return tuple(sentences)
 
 
 def score_sentence(
@@ -220,78 +197,43 @@ def score_sentence(
     )
 
 
-def plane_sentences(
-    configurations: Sequence[Outcomes],
-    comparisons: Sequence[Comparison],
-    labels: Mapping[str, str],
-    level: float = LEVEL,
-) -> tuple[str, ...]:
-    """State which points of a plane pass, which is fastest, and which beat the reference."""
-    rates = [pass_rate(int(c.converged.sum()), len(c), level=level) for c in configurations]
-    best = min(configurations, key=lambda c: float(c.durations.mean()))
-    text = (
-        f"Of {len(configurations)} points, {sum(r.above(0.8) for r in rates)} pass in more than"
-        f" 80 % of trials and {sum(r.below(0.2) for r in rates)} in less than 20 % (intervals of"
-        f" {100 * level:g} %). {_capital(labels[best.name])} has the smallest mean,"
-        f" {best.durations.mean():.0f} iterations; as the best of many, it is optimistic."
-    )
-    if not comparisons:
-        return (text,)
-    faster = [c for c in comparisons if c.winner == c.b]
-    slower = [c for c in comparisons if c.winner == c.a]
-    named = f": {some([labels[c.b] for c in faster])}" if faster else ""
-    return (
-        text,
-        f"Against {labels[comparisons[0].a]}, the thesis’s softmax, {len(faster)} of"
-        f" {len(comparisons)} points need significantly fewer iterations after Holm’s correction"
-        f"{named}; {len(slower)} need significantly more.",
-    )
-
-
 def _fastest(
     configurations: Sequence[Outcomes],
     comparisons: Sequence[Comparison],
     name: Mapping[str, str],
     level: float,
 ) -> str:
-    if not configurations:
+    count = len(configurations)
+    if count == 0:
         return "No finished configuration was found."
-    if len(configurations) == 1:
-        only = configurations[0]
-        passes = _passes(only, level)
-        return f"Only {name[only.name]} was run: {passes}. There is nothing to compare it to."
-    passing = [c for c in configurations if c.converged.any()]
-    if not passing:
+    if count == 1:
+        (only,) = configurations
         return (
-            f"None of the {len(configurations)} configurations {_did(configurations)} in any trial."
+            f"Only {name[only.name]} was run: {_passes(only, level)}. There is nothing to compare"
+            " it to."
         )
+    if not any(c.converged.any() for c in configurations):
+        return f"None of the {count} configurations {_did(configurations)} in any trial."
     if not comparisons:
         return (
-            f"The {len(configurations)} configurations are not compared: they have different"
-            " stopping rules or share trials."
+            f"The {count} configurations are not compared: they have different stopping rules or"
+            " share trials."
         )
-    best = min(passing, key=lambda c: float(c.durations.mean()))
-    rivals = [c for c in configurations if c is not best]
-    equals = [c for c in rivals if _winner(best.name, c.name, comparisons) != best.name]
+    best, rest, equals, fewer = _ranked(configurations, comparisons)
     if equals:
-        all_others = len(equals) == len(rivals) > FEW
-        others = "any other" if all_others else some([name[c.name] for c in equals])
+        others = [name[c.name] for c in configurations if c.name in equals]
         return (
-            f"No single configuration of {len(configurations)} is fastest: {name[best.name]}"
-            f" has the smallest mean number of iterations, but does not differ significantly from"
-            f" {others} at the {100 * level:g} % level."
+            f"No single configuration of {count} is fastest: {name[best.name]} has the smallest"
+            " mean number of iterations, but does not differ significantly from"
+            f" {'any other' if len(equals) == len(rest) > FEW else some(others)}"
+            f" at the {100 * level:g} % level."
         )
-    second = min(rivals, key=lambda c: float(c.durations.mean()))
-    margin = next(c for c in comparisons if {c.a, c.b} == {best.name, second.name})
-    sign = 1.0 if margin.a == best.name else -1.0
-    low, high = sorted(-sign * x for x in (margin.difference.low, margin.difference.high))
     return (
-        f"{_capital(name[best.name])} {'learns' if best.measure == 'learned' else 'converges'}"
-        f" fastest of {len(configurations)} configurations:"
+        f"{capital(name[best.name])} {'learns' if best.measure == 'learned' else 'converges'}"
+        f" fastest of {count} configurations:"
         f" it needs {best.durations.mean():.0f} iterations on average (restricted to the cap of"
-        f" {best.cap}), {-sign * margin.difference.value:.0f} fewer than the next,"
-        f" {name[second.name]} ({100 * margin.difference.level:.3g} % interval {low:.0f} to"
-        f" {high:.0f}), and"
+        f" {best.cap}), {fewer.value:.0f} fewer than the next, {name[rest[0].name]}"
+        f" ({100 * fewer.level:.3g} % interval {fewer.low:.0f} to {fewer.high:.0f}), and"
         f" {_passes(best, level)}."
     )
 
@@ -303,22 +245,17 @@ def _differences(
     never = f"{some(failing)} never {_did(configurations)}" if failing else ""
     if not comparisons:
         return f"No differences were tested{f', and {never}' if never else ''}."
-    real = [c for c in comparisons if c.winner is not None]
-    n = min(min(c.n_a, c.n_b) for c in comparisons)
-    what = "pair differs" if len(comparisons) == 1 else "pairs differ"
+    real = sum(c.winner is not None for c in comparisons)
     text = (
-        f"{len(real)} of {len(comparisons)} {what} significantly in iterations after Holm's"
-        f" correction, with at least {n} trials per configuration"
+        f"{real} of {_count(len(comparisons), 'pair differs', 'pairs differ')} significantly in"
+        " iterations after Holm's correction, with at least"
+        f" {min(min(c.n_a, c.n_b) for c in comparisons)} trials per configuration"
     )
     unclear = [f"{name[c.a]} and {name[c.b]}" for c in comparisons if c.winner is None]
     if unclear and (real or len(unclear) <= FEW):
         more = f" and {len(unclear) - 3} more" if len(unclear) > 3 else ""
         text += f"; no significant difference between {'; '.join(unclear[:3])}{more}"
     return text + (f"; {never}." if never else ".")
-
-
-def _winner(a: str, b: str, comparisons: Sequence[Comparison]) -> str | None:
-    return next((c.winner for c in comparisons if {c.a, c.b} == {a, b}), None)
 
 
 def _passes(c: Outcomes, level: float) -> str:
@@ -337,7 +274,3 @@ def _did(configurations: Sequence[Outcomes]) -> str:
 
 def _count(n: int, one: str, many: str) -> str:
     return f"{n} {one if n == 1 else many}"
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:] if text[:1].isascii() else text  # ε has no capital

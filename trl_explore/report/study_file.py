@@ -27,7 +27,7 @@ questions from what differs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,6 @@ MEASURES = ("passed", "score", "learned")
 BUDGET, FEWEST = 500, 20
 """Most trials of a configuration that runs until it is settled, and the least that can be given."""
 ALL_RULES = (*RULES, "all", "any", "not")
-SELECTORS = "a name or a mapping of settings is possible"
 UNITS = ("iterations", "score", "frames")
 
 Selector = str | Mapping[str, Any]
@@ -86,6 +85,10 @@ class StudyFile:
     path: Path | None = None
 
 
+class _WrongError(Exception):
+    """A value that is not allowed: key, value, and what is."""
+
+
 def read_study(path: Path) -> StudyFile:
     """Read and check a study.
 
@@ -100,48 +103,56 @@ def read_study(path: Path) -> StudyFile:
         raise ResultsError(f"{path}: not readable as YAML: {reason}") from None
     if not isinstance(content, Mapping):
         raise ResultsError(f"{path}: a study has the keys {', '.join(KEYS)}")
-    for key in content:
-        if key not in KEYS:
-            _refuse(path, str(key), content[key], f"the keys are {', '.join(KEYS)}")
-    _check_values(path, content)
-    folders, sweeps = _configurations(path, content.get("configurations"))
-    if "until" in content and not sweeps:
-        _refuse(path, "until", content["until"], "a sweep among the configurations is needed")
+    try:
+        return _checked(path, content)
+    except _WrongError as wrong:
+        key, value, allowed = wrong.args
+        raise ResultsError(f"{path}: {key}={value!r}: {allowed}") from None
+
+
+def _checked(path: Path, content: Mapping[str, Any]) -> StudyFile:
+    lists = {key: [] if content.get(key) is None else _items(key, content[key])
+             for key in ("compare", "leave_out", "configurations")}  # fmt: skip
+    measures = _items("measures", content.get("measures", list(MEASURES)))
     claims = content.get("claims", ())
     if claims != "thesis":
-        claims = tuple(_items(path, "claims", claims))
-        for k, claim in enumerate(claims):
-            _check_claim(path, f"claims[{k}]", claim)
-    left = _items(path, "leave_out", content.get("leave_out", ()))
-    for item in left:
-        _check_selector(path, "leave_out", item)
-    measures = _items(path, "measures", content.get("measures", list(MEASURES)))
-    compare = _items(path, "compare", content.get("compare", ()))
+        claims = tuple(_items("claims", claims))
+    _check_values(content, measures)
+    folders, sweeps = _configurations(path.parent, lists["configurations"])
+    if "until" in content and not sweeps:
+        raise _WrongError("until", content["until"], "a sweep among the configurations is needed")
+    for k, claim in enumerate(claims if claims != "thesis" else ()):
+        _check_claim(f"claims[{k}]", claim)
+    for item in lists["leave_out"]:
+        _check_selector("leave_out", item)
     return StudyFile(
         title=content.get("title", ""),
         question=content.get("question", ""),
         folders=folders,
         sweeps=sweeps,
-        compare=tuple(_comparison(path, f"compare[{k}]", c) for k, c in enumerate(compare)),
+        compare=tuple(_comparison(f"compare[{k}]", c) for k, c in enumerate(lists["compare"])),
         measures=tuple(measures),
         claims=claims,
         level=float(content.get("level", LEVEL)),
-        leave_out=tuple(left),
+        leave_out=tuple(lists["leave_out"]),
         budget=content.get("budget", BUDGET) if "until" in content else None,
         path=path,
     )
 
 
-def _check_values(path: Path, content: Mapping[str, Any]) -> None:
-    """Check the keys with simple values."""
-    for measure in _items(path, "measures", content.get("measures", ())):
+def _check_values(content: Mapping[str, Any], measures: Sequence[Any]) -> None:
+    """Check the names of the keys, and the keys with simple values."""
+    for key, value in content.items():
+        if key not in KEYS:
+            raise _WrongError(key, value, f"the keys are {', '.join(KEYS)}")
+        right, allowed = VALUES.get(key, (None, ""))
+        if right and not right(value):
+            raise _WrongError(key, value, allowed)
+    for measure in measures:
         if measure not in MEASURES:
-            _refuse(path, "measures", measure, f"{', '.join(MEASURES)} are possible")
-    for key, (right, allowed) in VALUES.items():
-        if key in content and not right(content[key]):
-            _refuse(path, key, content[key], allowed)
+            raise _WrongError("measures", measure, f"{', '.join(MEASURES)} are possible")
     if "budget" in content and "until" not in content:
-        _refuse(path, "budget", content["budget"], "until: settled is needed")
+        raise _WrongError("budget", content["budget"], "until: settled is needed")
 
 
 def _number(value: Any, kind: type = float) -> bool:
@@ -159,120 +170,106 @@ VALUES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
 """Key -> whether a value is right, and what is allowed."""
 
 
-def _configurations(path: Path, value: Any) -> tuple[tuple[Path, ...], tuple[tuple[str, ...], ...]]:
+def _configurations(
+    home: Path, items: Sequence[Any]
+) -> tuple[tuple[Path, ...], tuple[tuple[str, ...], ...]]:
+    """The folders, and the overrides of the sweeps; ``home`` is the folder of the file."""
     folders: list[Path] = []
     sweeps: list[tuple[str, ...]] = []
-    items = _items(path, "configurations", value if value is not None else ())
     for item in items:
         if isinstance(item, Mapping) and set(item) == {"sweep"}:
             words = item["sweep"]
             if not isinstance(words, list) or not all(isinstance(w, str) for w in words):
-                _refuse(path, "sweep", words, "a list of overrides is possible: [strategy=a,b]")
+                raise _WrongError("sweep", words, "a list of overrides is possible: [strategy=a,b]")
             sweeps.append(tuple(words))
         elif isinstance(item, str):
-            place = path.parent / Path(item).expanduser()
-            found = [place] if place.is_dir() else _matching(place)
+            whole = (home / Path(item).expanduser()).absolute()
+            found = Path(whole.anchor).glob(str(whole)[len(whole.anchor) :])
+            found = [whole] if whole.is_dir() else sorted(f for f in found if f.is_dir())
             if not found:
-                _refuse(path, "configurations", item, "no such folder")
+                raise _WrongError("configurations", item, "no such folder")
             folders += found
         else:
-            _refuse(path, "configurations", item, "a folder, a glob or {sweep: [...]} is possible")
+            allowed = "a folder, a glob or {sweep: [...]} is possible"
+            raise _WrongError("configurations", item, allowed)
     return tuple(dict.fromkeys(folders)), tuple(sweeps)
 
 
-def _matching(pattern: Path) -> list[Path]:
-    """The folders that a glob means."""
-    whole = pattern.absolute()
-    return sorted(f for f in Path(whole.anchor).glob(str(whole)[len(whole.anchor) :]) if f.is_dir())
-
-
-def _comparison(path: Path, where: str, item: Any) -> Effect | tuple[Selector, Selector]:
-    allowed = "{effect_of: FACTOR, at_each: FACTOR} or a pair [first, second] is possible"
+def _comparison(where: str, item: Any) -> Effect | tuple[Selector, Selector]:
     if isinstance(item, Mapping) and "effect_of" in item and set(item) <= {"effect_of", "at_each"}:
-        of, at = (_items(path, where, item.get(k, ())) for k in ("effect_of", "at_each"))
+        of, at = (_items(where, item.get(k, ())) for k in ("effect_of", "at_each"))
         if of and all(isinstance(word, str) for word in (*of, *at)):
             return Effect(tuple(of), tuple(at))
     if isinstance(item, list) and len(item) == 2:
         for selector in item:
-            _check_selector(path, where, selector)
+            _check_selector(where, selector)
         return item[0], item[1]
-    return _refuse(path, where, item, allowed)
+    allowed = "{effect_of: FACTOR, at_each: FACTOR} or a pair [first, second] is possible"
+    raise _WrongError(where, item, allowed)
 
 
-def _check_claim(path: Path, where: str, claim: Any) -> None:
+def _check_claim(where: str, claim: Any) -> None:
     if isinstance(claim, Mapping) and set(claim) == {"thesis"}:
         if claim["thesis"] not in (ids := [c.id for c in CLAIMS]):
-            _refuse(path, where, claim["thesis"], f"statements of the thesis: {', '.join(ids)}")
+            raise _WrongError(where, claim["thesis"], f"statements of the thesis: {', '.join(ids)}")
         return
     if not isinstance(claim, Mapping) or not isinstance(claim.get("statement"), str):
-        _refuse(path, where, claim, "a claim has a statement and one rule")
+        raise _WrongError(where, claim, "a claim has a statement and one rule")
     rest = {k: v for k, v in claim.items() if k not in ("statement", "place", "definition")}
     if len(rest) != 1:
-        _refuse(path, where, list(rest), f"one rule is needed: {', '.join(ALL_RULES)}")
-    _check_rules(path, where, rest)
+        raise _WrongError(where, list(rest), f"one rule is needed: {', '.join(ALL_RULES)}")
+    _check_rules(where, rest)
 
 
-def _check_rules(path: Path, where: str, entry: Any) -> None:
+def _check_rules(where: str, entry: Any) -> None:
     """Check every rule of a mapping from rules to their values."""
     if not isinstance(entry, Mapping) or not entry:
-        _refuse(path, where, entry, f"rules are {', '.join(ALL_RULES)}")
+        raise _WrongError(where, entry, f"rules are {', '.join(ALL_RULES)}")
     for name, value in entry.items():
         place = f"{where}.{name}"
         if name in ("all", "any"):
-            for part in _items(path, place, value):
-                _check_rules(path, place, part)
+            for part in _items(place, value):
+                _check_rules(place, part)
         elif name == "not":
-            _check_rules(path, place, value)
+            _check_rules(place, value)
         elif name not in RULES:
-            _refuse(path, where, name, f"rules are {', '.join(ALL_RULES)}")
+            raise _WrongError(where, name, f"rules are {', '.join(ALL_RULES)}")
         else:
-            _check_rule(path, place, name, value)
+            _check_rule(place, name, value)
 
 
-def _check_rule(path: Path, where: str, name: str, value: Any) -> None:
+def _check_rule(where: str, name: str, value: Any) -> None:
     needed, optional = RULES[name]
+    known = needed + optional
     if not isinstance(value, Mapping):
-        _refuse(path, where, value, f"a mapping with {', '.join(needed + optional)} is possible")
+        raise _WrongError(where, value, f"a mapping with {', '.join(known)} is possible")
     if name == "passes" and len({"above", "below"} & set(value)) != 1:
-        _refuse(path, where, dict(value), "above or below is needed")
+        raise _WrongError(where, dict(value), "above or below is needed")
     for key in (*needed, *value):
-        if key not in value or key not in (*needed, *optional):
-            _refuse(path, f"{where}.{key}", value.get(key), f"keys: {', '.join(needed + optional)}")
-        allowed = _wrong(key, value[key])
-        if key == "high" and not allowed and not value["low"] < value["high"]:
-            allowed = f"more than low={value['low']} is possible"
-        if allowed:
-            _refuse(path, f"{where}.{key}", value[key], allowed)
+        if key not in value or key not in known:
+            raise _WrongError(f"{where}.{key}", value.get(key), f"keys: {', '.join(known)}")
+        if key in ("of", "first", "second"):
+            _check_selector(f"{where}.{key}", value[key])
+            continue
+        right, allowed = _number(value[key]), "a number is possible"
+        if key == "measure":
+            right, allowed = value[key] in UNITS, f"{', '.join(UNITS)} are possible"
+        elif right and key in ("above", "below"):
+            right, allowed = 0 < value[key] < 1, "a share between 0 and 1 is possible"
+        elif right and key == "high":
+            right, allowed = value["low"] < value[key], f"more than low={value['low']} is possible"
+        if not right:
+            raise _WrongError(f"{where}.{key}", value[key], allowed)
 
 
-def _wrong(key: str, value: Any) -> str:
-    """What is allowed, if the value of a rule's key is not; otherwise empty."""
-    if key in ("of", "first", "second"):
-        return "" if _is_selector(value) else SELECTORS
-    if key == "measure":
-        return "" if value in UNITS else f"{', '.join(UNITS)} are possible"
-    if not _number(value):
-        return "a number is possible"
-    share = key in ("above", "below") and not 0 < value < 1
-    return "a share between 0 and 1 is possible" if share else ""
+def _check_selector(where: str, value: Any) -> None:
+    if not isinstance(value, str) and not (isinstance(value, Mapping) and value):
+        raise _WrongError(where, value, "a name or a mapping of settings is possible")
 
 
-def _check_selector(path: Path, where: str, value: Any) -> None:
-    if not _is_selector(value):
-        _refuse(path, where, value, SELECTORS)
-
-
-def _is_selector(value: Any) -> bool:
-    return isinstance(value, str) or (isinstance(value, Mapping) and bool(value))
-
-
-def _items(path: Path, key: str, value: Any) -> list[Any]:
+def _items(key: str, value: Any) -> list[Any]:
     if isinstance(value, str):
         return [value]
     if not isinstance(value, list | tuple):
-        _refuse(path, key, value, "a list is possible")
+        raise _WrongError(key, value, "a list is possible")
     return list(value)
-
-
-def _refuse(path: Path, key: str, value: Any, allowed: str) -> Any:
-    raise ResultsError(f"{path}: {key}={value!r}: {allowed}")

@@ -157,6 +157,11 @@ def some(words: Sequence[str]) -> str:
     return listed([*words[:MOST], *more])
 
 
+def capital(text: str) -> str:
+    """The text as the beginning of a sentence; ε has no capital."""
+    return text[:1].upper() + text[1:] if text[:1].isascii() else text
+
+
 def figure(x: float) -> str:
     """A number with at least three significant digits.
 

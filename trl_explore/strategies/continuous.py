@@ -74,11 +74,11 @@ class ContinuousStrategy(BaseStrategy):
         self.register_buffer("low", None, persistent=False)
         self.register_buffer("high", None, persistent=False)
         if spec is not None:
-            self.serve(spec)
+            self.set_spec(spec)
 
-    def serve(self, spec: TensorSpec) -> None:
+    def set_spec(self, spec: TensorSpec) -> None:
         """Check the action spec; store the number of dimensions and the box."""
-        super().serve(spec)
+        super().set_spec(spec)
         spec = self._leaf(spec)
         if not isinstance(spec, Bounded | Unbounded) or not spec.shape:
             raise ValueError(

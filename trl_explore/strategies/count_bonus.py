@@ -181,17 +181,12 @@ class CountBonus(MixtureStrategy):
         self.observation_key = observation_key
         read = [self.logits_key, observation_key]
         self.in_keys = read  # pyright: ignore[reportAttributeAccessIssue]
-        self.visits = VisitCounts(1, bits, n_actions=self._n_actions)
+        self.visits = VisitCounts(1, bits, n_actions=sum(self.heads))
 
     @property
     def compilable(self) -> bool:
         """Whether ``behaviour_parameters`` holds the bonus: under a tabular policy."""
         return self.visits.one_hot
-
-    @property
-    def _n_actions(self) -> int:
-        """The number of actions in the spec; 0 without one."""
-        return self.heads[0] if self.heads else 0
 
     def allocate(self, policy: TensorDictModuleBase, trials: int) -> None:
         """Reset the counts to 0."""
@@ -199,7 +194,7 @@ class CountBonus(MixtureStrategy):
             trials,
             self.visits.bits,
             one_hot=bool(getattr(policy, "tabular", False)),
-            n_actions=self._n_actions,
+            n_actions=sum(self.heads),
             seed=self._seed,
             first_trial=self._first_trial,
         )
@@ -219,18 +214,13 @@ class CountBonus(MixtureStrategy):
         """The table of a tabular policy [trials, n_actions, n_states], plus the bonus."""
         (weight,) = parameters
         self.visits.reserve(weight.shape[2], weight.shape[1])
-        visits = self._counts.transpose(1, 2).to(weight.dtype)
+        visits = self.visits.counts.transpose(1, 2).to(weight.dtype)
         trial = torch.arange(len(weight), device=weight.device)
         return [weight.detach() + self._bonus(visits, trial.unsqueeze(-1))]
 
     def _bonus(self, visits: Tensor, trial: Tensor | None) -> Tensor:
         """B in the shape of the counts."""
         return rows(self.beta, trial, visits) / (visits + 1).sqrt()
-
-    @property
-    def _counts(self) -> Tensor:
-        """N of each trial [trials, cells, n_actions]."""
-        return self.visits.counts
 
     def step(self, frames: TensorDictBase | int | None = None) -> None:
         """Count the frames of the iteration.
@@ -243,7 +233,7 @@ class CountBonus(MixtureStrategy):
             return
         valid = padding_mask(frames)
         action = self.index(read(frames, self.action_key)[valid])
-        n_actions = self._counts.shape[-1]
+        n_actions = self.visits.counts.shape[-1]
         if not n_actions:
             raise ValueError("CountBonus does not know the number of actions: give the spec")
         trial = self._trial(frames)

@@ -75,15 +75,7 @@ class FirstFrames:
         self._ids = torch.zeros(0, dtype=torch.int64)
 
     def __call__(self, tensordict: TensorDictBase, batch: torch.Size) -> Tensor:
-        """Whether a frame is the first of its episode.
-
-        Args:
-            tensordict: the frames.
-            batch: the shape of the answer; beyond that of the data it may have agents or heads.
-
-        Returns:
-            [*batch] bool.
-        """
+        """Whether a frame is the first of its episode [*batch], for each agent or head too."""
         is_init = tensordict.get(self.is_init_key, None)
         step_count = tensordict.get("step_count", None)
         ids = tensordict.get(("collector", "traj_ids"), None)

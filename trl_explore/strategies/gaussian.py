@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -50,10 +49,6 @@ class ContinuousMixtureStrategy(MixtureFamily, ContinuousStrategy):
 
     REPLACED = ("forward", "draw", "log_prob")
     mixes_policy = True
-
-    @abstractmethod
-    def mixture(self) -> ContinuousMixture:
-        """Weights and temperature in the current iteration."""
 
     def draw(self, loc: Tensor, scale: Tensor, noise: Tensor, trial: Tensor | None) -> Tensor:
         """The action [*batch, n_dims] for noise [*batch, n_dims + 1]."""

@@ -62,7 +62,11 @@ class MixtureFamily(BaseStrategy):
     def on_policy(self) -> bool | NDArray[np.bool_]:
         """Whether μ = π: the mixture is the policy alone, at T = 1."""
         mixed = self.mixes_policy and holds(self, "mixes_policy", self.REPLACED)
-        return mixed and is_policy_alone(*numbers(self.mixture()))
+        if not mixed:
+            return False
+        certain, _, uniform, temperature = numbers(self.mixture())
+        found = np.equal(certain, 0) & np.equal(uniform, 0) & np.equal(temperature, 1)
+        return found if isinstance(found, np.ndarray) else bool(found)
 
     def checked_mixture(self, trials: int) -> Any:
         """The mixture of the current iteration as numbers, checked for ``trials`` trials.
@@ -89,21 +93,6 @@ class MixtureFamily(BaseStrategy):
         return point
 
 
-def is_policy_alone(
-    certain: Value, policy: Value, uniform: Value, temperature: Value
-) -> bool | NDArray[np.bool_]:
-    """Whether a mixture of numbers is the policy at T = 1; one value, or one per trial.
-
-    Example:
-        >>> is_policy_alone(0.0, 1.0, 0.0, 1.0), is_policy_alone(1.0, 0.0, 0.0, 1.0)
-        (True, False)
-        >>> is_policy_alone(0.0, 1.0, 0.0, np.array([1.0, 0.5]))
-        array([ True, False])
-    """
-    found = np.equal(certain, 0) & np.equal(uniform, 0) & np.equal(temperature, 1)
-    return found if isinstance(found, np.ndarray) else bool(found)
-
-
 class MixtureStrategy(MixtureFamily, Strategy):
     """A mixture of argmax, softmax and uniform.
 
@@ -125,10 +114,6 @@ class MixtureStrategy(MixtureFamily, Strategy):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         settle(cls, "compilable", False, cls.REPLACED)
-
-    @abstractmethod
-    def mixture(self) -> Mixture:
-        """Weights and temperature in the current iteration."""
 
     def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
         """The parameters with which the policy's logits equal the strategy's ``preferences``.
@@ -177,7 +162,7 @@ def mixture_probs(logits: Tensor, mixture: Mixture) -> Tensor:
     total = power.sum(-1, keepdim=True)
     if isinstance(soft, float) and found is not None:
         return torch.addcdiv(found, power, total, value=soft)
-    power = (power if is_one(soft) else power * cast(Tensor, soft)) / total
+    power = (power * cast(Tensor, soft) if isinstance(soft, Tensor) or soft != 1 else power) / total
     return power if found is None else found + power
 
 
@@ -227,11 +212,6 @@ def numbers(values: Iterable[Value | Tensor]) -> list[Value]:
         else value.numpy(force=True) if value.ndim else value.item()
         for value in values
     ]  # fmt: skip
-
-
-def is_one(weight: Value | Tensor) -> bool:
-    """Whether a weight is the Python number 1."""
-    return isinstance(weight, int | float) and weight == 1
 
 
 def present(weight: Value | Tensor) -> bool:

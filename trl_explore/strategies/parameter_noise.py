@@ -175,9 +175,14 @@ class ParameterNoise(MixtureStrategy):
         def perturbed(xi: Tensor, frame: TensorDictBase) -> Tensor:
             parts = zip(own.items(), xi.split(sizes), strict=True)
             moved = {name: p + sigma * part.reshape(p.shape) for (name, p), part in parts}
-            return functional_call(policy, moved, (frame,)).get(self.logits_key)
+            found = functional_call(policy, moved, (frame.unsqueeze(0),))
+            return found.get(self.logits_key).squeeze(0)
 
-        return torch.vmap(perturbed)(self._xi, given.reshape(-1))
+        lanes = given.reshape(-1)
+        try:
+            return torch.vmap(perturbed, randomness="different")(self._xi, lanes)
+        except RuntimeError:  # vmap does not know every operation, such as a branch on data
+            return torch.stack([perturbed(*lane) for lane in zip(self._xi, lanes, strict=True)])
 
     def _logits(self, parameters: Parameters, tensordict: TensorDictBase) -> Tensor:
         policy = self._policy[0]

@@ -98,7 +98,7 @@ class Parametrised(TensorDictModuleBase):
         return schedule(int(clock))
 
     def spread(self, trials: int) -> None:
-        """Serve ``trials`` trials; each counts its own frames, as episodes differ in length.
+        """Count the frames of each of ``trials`` trials, as episodes differ in length.
 
         Raises:
             ValueError: if a per-trial parameter does not have one value for every trial.
@@ -142,13 +142,13 @@ class Parametrised(TensorDictModuleBase):
                 iterations.
         """
         number = self._number(frames)
-        self.iteration += 1
-        self.frames += number
+        self.iteration.data.add_(1)  # data: also if built in ``torch.inference_mode``
+        self.frames.data.add_(number)
         self._refresh()
 
     def keep_pace(self, other: Parametrised) -> None:
         """Go to the iteration and number of frames of another module."""
-        self.iteration.copy_(other.iteration)
+        self.iteration.data.copy_(other.iteration)
         self.frames = other.frames.clone()
         self._refresh()
 
@@ -159,7 +159,7 @@ class Parametrised(TensorDictModuleBase):
                 buffer = getattr(self, name)
                 value = torch.as_tensor(self._value(name), dtype=torch.float64)
                 if value.shape == buffer.shape:
-                    buffer.copy_(value)  # in place: shared memory and compiled code see it
+                    buffer.data.copy_(value)  # in place: shared memory and compiled code see it
                 else:
                     self._place(name)
 

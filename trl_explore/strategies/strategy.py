@@ -110,7 +110,7 @@ class BaseStrategy(Parametrised):
         """The entry with this name in the group of the action."""
         return name if isinstance(self.action_key, str) else (*self.action_key[:-1], name)
 
-    def serve(self, spec: TensorSpec) -> None:
+    def set_spec(self, spec: TensorSpec) -> None:
         """Check and store the environment's action spec; the collector calls this once.
 
         Raises:

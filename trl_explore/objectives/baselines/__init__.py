@@ -6,7 +6,6 @@ from trl_explore.objectives.baselines.baseline import (
     EpisodeMean,
     LeaveOneOut,
     StepMean,
-    as_baseline,
 )
 from trl_explore.objectives.baselines.linear_value import LinearValue
 
@@ -17,5 +16,4 @@ __all__ = [
     "LeaveOneOut",
     "LinearValue",
     "StepMean",
-    "as_baseline",
 ]

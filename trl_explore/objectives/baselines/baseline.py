@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torchrl.envs import EnvBase
 
 from trl_explore.checks import check_number, settle
-from trl_explore.objectives.episodes import Episodes
+from trl_explore.objectives.episodes import Episodes, since
 
 
 class Baseline(nn.Module, ABC):
@@ -74,11 +74,6 @@ class Constant(Baseline):
     def forward(self, episodes: Episodes) -> float:
         """The number."""
         return self.value
-
-
-def as_baseline(value: Baseline | float) -> Baseline:
-    """A number as a ``Constant``; a baseline unchanged."""
-    return value if isinstance(value, Baseline) else Constant(value)
 
 
 class EpisodeMean(Baseline):
@@ -220,5 +215,4 @@ def _rank(owner: Tensor) -> Tensor:
     """The index of every episode within its trial [episodes]."""
     first = torch.ones_like(owner, dtype=torch.bool)
     first[1:] = owner[1:] != owner[:-1]
-    place = torch.arange(len(owner), device=owner.device)
-    return place - torch.where(first, place, 0).cummax(0).values
+    return since(first)

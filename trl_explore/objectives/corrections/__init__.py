@@ -4,6 +4,7 @@ from trl_explore.objectives.corrections.behaviour import Behaviour, BehaviourAct
 from trl_explore.objectives.corrections.correction import (
     ImportanceWeights,
     NoCorrection,
+    as_correction,
     log_ratio_of,
 )
 from trl_explore.objectives.corrections.importance import AsIf, PerDecision, PerStep, Trajectory
@@ -20,5 +21,6 @@ __all__ = [
     "PerDecision",
     "PerStep",
     "Trajectory",
+    "as_correction",
     "log_ratio_of",
 ]

@@ -94,6 +94,17 @@ class NoCorrection:
         return episodes.returns - baseline
 
 
+def as_correction(value: NoCorrection | None) -> NoCorrection:
+    """A correction; None is none.
+
+    Raises:
+        ValueError: if it is no object of a class of ``corrections``.
+    """
+    if value is not None and not isinstance(value, NoCorrection):
+        raise ValueError(f"correction must be an object such as PerStep(), got {value!r}")
+    return value or NoCorrection()
+
+
 class ImportanceWeights(NoCorrection):
     """The base class of importance weights: clipping, normalisation, and the requirements on μ.
 

@@ -1,6 +1,7 @@
 """The figures of the report; each file holds conditions, drawings and captions of similar ones.
 
-A new figure is a :class:`~trl_explore.report.figures.axes.Kind` and one line in ``KINDS``.
+A new figure is a function with the decorator :func:`~trl_explore.report.figures.axes.kind`, and
+one line in ``KINDS``.
 """
 
 from __future__ import annotations
@@ -22,28 +23,28 @@ from trl_explore.report.figures.axes import Kind
 from trl_explore.report.style import drawn_files, visual_language
 
 KINDS: tuple[Kind, ...] = (
-    maps.PASS,
-    maps.ITERATIONS,
-    by_parameter.FIRST_REWARD,
-    differences.EFFECTS,
-    survival.PANELS,
-    survival.SURVIVAL,
-    survival.LEARNED_PANELS,
-    survival.LEARNED,
-    trials.SCORE,
-    trials.ITERATIONS,
-    trials.SECONDS,
-    trials.FRAMES,
-    by_parameter.EPSILON,
-    learning.LEARNING,
-    learning.PANELS,
-    learning.EVALUATION,
-    survival.FRAMES,
-    differences.FOREST,
-    by_parameter.POWER_OF_STUDY,
+    maps.passing,
+    maps.iterations,
+    by_parameter.first_reward,
+    differences.effects,
+    survival.panels,
+    survival.curves,
+    survival.learned_panels,
+    survival.learned,
+    trials.score,
+    trials.iterations,
+    trials.seconds,
+    trials.frames,
+    by_parameter.epsilon,
+    learning.learning,
+    learning.panels,
+    learning.evaluation,
+    survival.frames,
+    differences.forest,
+    by_parameter.power,
     *learning.DIAGNOSTIC_KINDS,
-    learning.ENTROPY,
-    maps.VISITS,
+    learning.entropy,
+    maps.visits,
 )
 """In the order in which a section shows them."""
 
@@ -76,9 +77,8 @@ def draw_all(evidence: GroupEvidence) -> Iterator[Drawn]:
         if not kind.applies(evidence):
             continue
         with visual_language():
-            figure = kind.draw(evidence)
+            figure, caption = kind.draw(evidence)
             files = drawn_files(figure)
-        caption = kind.caption(evidence)
         thesis = kind.thesis.get(group.experiment)
         number = f"{thesis}-" if thesis else ""
         yield Drawn(
@@ -99,7 +99,7 @@ def draw_why(found: Sequence[Decomposition]) -> Iterator[Picture]:
         if not differences.acting_rows(here):
             continue
         with visual_language():
-            figure = differences.draw_acting(here)
+            figure, caption = differences.draw_acting(here)
             files = drawn_files(figure)
-        caption, title = differences.acting_caption(here), differences.ACTING
+        title = differences.ACTING
         yield Picture(f"why-acting-{k + 1}", title, caption, f"{title}. {caption}", **files)

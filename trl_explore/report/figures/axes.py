@@ -15,7 +15,8 @@ from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator, MaxNLocat
 from numpy.typing import ArrayLike
 
 from trl_explore.report.evidence import GroupEvidence
-from trl_explore.report.style import INK, WIDTH, Style
+from trl_explore.report.style import INK, MUTED, WIDTH, Style
+from trl_explore.statistics.estimates import Estimate
 from trl_explore.statistics.outcomes import Outcomes
 
 FEW = 16
@@ -24,14 +25,21 @@ NAMED = 9
 """Most configurations that a caption names."""
 
 
+DASHED = (0, (4, 3))
+"""The line style of thresholds and caps."""
+
+Shown = tuple[Figure, str]
+"""A figure, and what it shows, with its numbers, as plain text."""
+
+
 @dataclass(frozen=True)
 class Kind:
-    """A kind of figure: its condition, its drawing and its caption.
+    """A kind of figure: its condition, and its drawing with its caption.
 
     Attributes:
         name: unique; part of the names of its files.
         applies: whether a group has this figure.
-        caption: what the figure shows, with its numbers; plain text.
+        draw: the figure of a group with its caption.
         thesis: experiment -> number of the same figure in the thesis.
         hero: whether the first such figure may appear next to the answer.
         recorded: whether it shows what was recorded during training.
@@ -41,12 +49,18 @@ class Kind:
     name: str
     title: str
     applies: Callable[[GroupEvidence], bool]
-    draw: Callable[[GroupEvidence], Figure]
-    caption: Callable[[GroupEvidence], str]
+    draw: Callable[[GroupEvidence], Shown]
     thesis: Mapping[str, str] = field(default_factory=dict)
     hero: bool = False
     recorded: bool = False
     why: bool = False
+
+
+def kind(
+    name: str, title: str, applies: Callable[[GroupEvidence], bool], **facts: Any
+) -> Callable[[Callable[[GroupEvidence], Shown]], Kind]:
+    """Make a drawing function a kind of figure."""
+    return lambda draw: Kind(name, title, applies, draw, **facts)
 
 
 def few(e: GroupEvidence) -> bool:
@@ -170,6 +184,33 @@ def handle(style: Style, label: str, *, line: bool = True) -> Line2D:
     return Line2D(
         [], [], color=style.color, marker=style.marker, ls=style.line if line else "", label=label
     )
+
+
+def rows_axis(
+    ax: Axes, at: Sequence[float], labels: Sequence[str], ends: tuple[float, float], quantity: str
+) -> None:
+    """Name the rows at heights, from top to bottom, and the quantity on the horizontal axis."""
+    ax.set_yticks(at, labels)
+    ax.set_ylim(*ends)
+    ax.tick_params(axis="y", length=0)
+    ax.spines["left"].set_visible(False)
+    ax.grid(axis="x")
+    ax.set_xlabel(quantity, color=INK)
+    plain_numbers(ax.xaxis)
+
+
+def bar(ax: Axes, e: Estimate, y: float, **look: Any) -> None:
+    """Draw an interval in a row, if it is known."""
+    if np.isfinite([e.low, e.high]).all():
+        ax.plot([e.low, e.high], [y, y], **look)
+
+
+def marks(entries: Sequence[tuple[str, str]]) -> list[Line2D]:
+    """Legend entries of points with a face: label and colour."""
+    return [
+        Line2D([], [], ls="", color=MUTED, marker="o", mfc=face, ms=6, label=label)
+        for label, face in entries
+    ]
 
 
 def legend_above(

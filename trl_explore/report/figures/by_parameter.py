@@ -8,15 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from trl_explore.names import strategy_label
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures.axes import (
-    Kind,
+    DASHED,
+    Shown,
     few,
     handle,
+    kind,
     legend_above,
     new_figure,
     plain_numbers,
@@ -75,26 +76,22 @@ def _rates(e: GroupEvidence) -> dict[float, str]:
     }
 
 
-def _draw_epsilon(e: GroupEvidence) -> Figure:
-    rates = _rates(e)
-    figure = new_figure(3.2)
-    looks = [e.group.styles[name] for name in rates.values()]
-    end = min(e.group.cap, 600)
-    plot_epsilon(figure.subplots(), list(rates), looks, iterations=end, emphasised=CHOSEN)
-    return figure
-
-
-EPSILON = Kind(
+@kind(
     "epsilon",
     "ε under the decay rates",
     lambda e: e.group.experiment == "decay_grid" and len(_rates(e)) > 0,
-    _draw_epsilon,
-    lambda e: (
-        f"Probability of a random action in each iteration. The thesis chose {CHOSEN}"
-        f" (thick line), which halves ε every {np.log(0.5) / np.log(CHOSEN):.0f} iterations."
-    ),
     thesis={"decay_grid": "2.5"},
 )
+def epsilon(e: GroupEvidence) -> Shown:
+    """ε by iteration for each rate."""
+    rates, figure = _rates(e), new_figure(3.2)
+    looks = [e.group.styles[name] for name in rates.values()]
+    end = min(e.group.cap, 600)
+    plot_epsilon(figure.subplots(), list(rates), looks, iterations=end, emphasised=CHOSEN)
+    return figure, (
+        f"Probability of a random action in each iteration. The thesis chose {CHOSEN}"
+        f" (thick line), which halves ε every {np.log(0.5) / np.log(CHOSEN):.0f} iterations."
+    )
 
 
 MOST_TICKS = 8
@@ -127,7 +124,7 @@ def _draw_panel(ax: Axes, title: str, panel: Lines, e: GroupEvidence) -> None:
     ax.axhline(cap, color=INK, lw=0.8, zorder=1)
     if e.group.env_id == EPISODES_OF_UNIFORM:
         ends = np.linspace(ticks[0], min(ticks[-1], math.log2(cap / math.log(2))), 50)
-        ax.plot(ends, math.log(2) * 2.0**ends, color=INK, lw=1.2, ls=(0, (4, 3)), zorder=2)
+        ax.plot(ends, math.log(2) * 2.0**ends, color=INK, lw=1.2, ls=DASHED, zorder=2)
     ax.set_title(title, loc="left", color=INK)
     ax.set_yscale("log")
     # The panels share their axis, and the rows above the cap differ in number.
@@ -137,52 +134,34 @@ def _draw_panel(ax: Axes, title: str, panel: Lines, e: GroupEvidence) -> None:
     plain_numbers(ax.yaxis)
 
 
-def _draw_sizes(e: GroupEvidence) -> Figure:
+@kind("first-reward", "How the effort grows with the size", lambda e: e.group.sized, hero=True)
+def first_reward(e: GroupEvidence) -> Shown:
+    """The median effort of every strategy by the size of the task."""
     panels = lines_by_size(e.group.configurations)
     names = list(dict.fromkeys(c.strategy for c in e.group.configurations))
+    quantity, uniform = "iterations until passed", ""
+    if e.group.window == 1:
+        quantity = f"episodes to the first score above {e.group.threshold:g}"
+    if e.group.env_id == EPISODES_OF_UNIFORM:
+        uniform = (
+            " Dashed: the median of uniformly random actions, 2^size · ln 2; one of the 2^size"
+            " sequences of actions has the reward."
+        )
     figure = new_figure(1.2 + 3.1 * math.ceil(len(panels) / 2))
     fill_panels(
-        figure, list(panels.items()), lambda ax, item: _draw_panel(ax, *item, e), "size",
-        _quantity(e),
-    )  # fmt: skip
+        figure, list(panels.items()), lambda ax, item: _draw_panel(ax, *item, e), "size", quantity
+    )
     sizes = sorted(set(map(size_of, e.group.configurations)))
     if len(sizes) <= MOST_TICKS:
         figure.axes[0].set_xticks(sizes)  # shared by all panels
     entries = zip(names, styles(names), strict=True)
     handles = [handle(style, strategy_label(name)) for name, style in entries]
     legend_above(figure.axes[0], handles, columns=3)
-    return figure
-
-
-def _quantity(e: GroupEvidence) -> str:
-    """What the iterations of a trial are under the group's stopping rule."""
-    if e.group.window == 1:
-        return f"episodes to the first score above {e.group.threshold:g}"
-    return "iterations until passed"
-
-
-def _sizes_caption(e: GroupEvidence) -> str:
-    uniform = ""
-    if e.group.env_id == EPISODES_OF_UNIFORM:
-        uniform = (
-            " Dashed: the median of uniformly random actions, 2^size · ln 2; one of the 2^size"
-            " sequences of actions has the reward."
-        )
-    return (
-        f"Kaplan–Meier median of the {_quantity(e)}, with its interval. Hollow marks above the"
+    return figure, (
+        f"Kaplan–Meier median of the {quantity}, with its interval. Hollow marks above the"
         f" line: fewer than half of the trials got there within the cap of {e.group.cap:,}."
         f"{uniform} {size_sentence(e.group.configurations)}"
     )
-
-
-FIRST_REWARD = Kind(
-    "first-reward",
-    "How the effort grows with the size",
-    lambda e: e.group.sized,
-    _draw_sizes,
-    _sizes_caption,
-    hero=True,
-)
 
 
 COLOR = "#0072b2"
@@ -221,7 +200,7 @@ def plot_power(ax: Axes, pairs: Sequence[Pair], *, trials: int, level: float) ->
             [count], [abs(pair.difference)], ls="", marker="o" if pair.told_apart else "D",
             ms=5, color=INK if pair.told_apart else "#d55e00", zorder=4,
         )  # fmt: skip
-    ax.axvline(trials, color=INK, lw=1.0, ls=(0, (4, 3)))
+    ax.axvline(trials, color=INK, lw=1.0, ls=DASHED)
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_xlim(1.6, right)
@@ -232,7 +211,7 @@ def plot_power(ax: Axes, pairs: Sequence[Pair], *, trials: int, level: float) ->
     plain_numbers(ax.yaxis)
     handles = [
         Line2D([], [], color=COLOR, label=f"detected with {100 * POWER:g} % power"),
-        Line2D([], [], color=INK, lw=1.0, ls=(0, (4, 3)), label=f"this study: {trials:,} trials"),
+        Line2D([], [], color=INK, lw=1.0, ls=DASHED, label=f"this study: {trials:,} trials"),
         Line2D([], [], ls="", marker="o", color=INK, label="pair with a significant difference"),
         Line2D([], [], ls="", marker="D", color="#d55e00", label="pair without"),
     ]
@@ -252,56 +231,43 @@ def _pairs(e: GroupEvidence) -> list[Pair]:
     ]
 
 
-def _trials(e: GroupEvidence) -> int:
-    return min(min(c.n_a, c.n_b) for c in e.comparisons)
-
-
-def _draw_power(e: GroupEvidence) -> Figure:
-    """Draw at the level of one test after correction."""
+@kind(
+    "power",
+    "What this number of trials can show",
+    lambda e: whole_study(e) and few(e) and len(_pairs(e)) > 0,
+)
+def power(e: GroupEvidence) -> Shown:
+    """The detectable difference at the level of one test after correction."""
+    pairs, level, tests = _pairs(e), e.strict_level, len(e.comparisons)
+    n = min(min(c.n_a, c.n_b) for c in e.comparisons)
     figure = new_figure(3.4)
-    plot_power(figure.subplots(), _pairs(e), trials=_trials(e), level=e.strict_level)
-    return figure
-
-
-def _power_caption(e: GroupEvidence) -> str:
-    pairs, n, level = _pairs(e), _trials(e), e.strict_level
+    plot_power(figure.subplots(), pairs, trials=n, level=level)
     low, high = (
         float(detectable_difference(f([p.sd for p in pairs]), n, level=level)) for f in (min, max)
+    )
+    found = (
+        f"With {n:,} trials per configuration, a difference of {low:,.0f} iterations (the least"
+        f" variable pair) to {high:,.0f} (the most variable pair) is detected with"
+        f" {100 * POWER:g} % power after correction for {tests} pairs."
     )
     if n < (fewest := fewest_pairs(level)):
         found = (
             f"{n:,} trials per configuration cannot detect any difference, however large, after"
-            f" correction for {len(e.comparisons)} pairs; at least {fewest} are needed."
+            f" correction for {tests} pairs; at least {fewest} are needed."
         )
-    else:
-        found = (
-            f"With {n:,} trials per configuration, a difference of {low:,.0f} iterations (the least"
-            f" variable pair) to {high:,.0f} (the most variable pair) is detected with"
-            f" {100 * POWER:g} % power after correction for {len(e.comparisons)} pairs."
-        )
-    return (
-        f"{found} Each point is a pair: its observed difference, and the number of trials that"
-        " would detect it. Pairs right of the dashed line need more trials than this study has."
-        f" Band: from the least to the most variable pair.{_unsettled(pairs, level)}"
-    )
-
-
-def _unsettled(pairs: Sequence[Pair], level: float, most: int = 3) -> str:
     needed = [
-        (p.label, trials_for_difference(p.sd, p.difference, level=level))
+        f"{p.label} {trials_text(trials)}"
         for p in pairs
         if not p.told_apart
+        and (trials := trials_for_difference(p.sd, p.difference, level=level)) is not None
     ]
-    texts = [f"{label} {trials_text(n)}" for label, n in needed if n is not None][:most]
-    if not texts:
-        return ""
-    return f" Pairs without a significant difference, and the trials needed: {'; '.join(texts)}."
-
-
-POWER_OF_STUDY = Kind(
-    "power",
-    "What this number of trials can show",
-    lambda e: whole_study(e) and few(e) and len(_pairs(e)) > 0,
-    _draw_power,
-    _power_caption,
-)
+    unsettled = (
+        f" Pairs without a significant difference, and the trials needed: {'; '.join(needed[:3])}."
+        if needed
+        else ""
+    )
+    return figure, (
+        f"{found} Each point is a pair: its observed difference, and the number of trials that"
+        " would detect it. Pairs right of the dashed line need more trials than this study has."
+        f" Band: from the least to the most variable pair.{unsettled}"
+    )

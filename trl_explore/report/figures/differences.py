@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from trl_explore.report.decomposition import Acting, Decomposition
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures.axes import (
-    Kind,
+    Shown,
+    bar,
     crossed,
+    kind,
     legend_above,
     line_count,
+    marks,
     new_figure,
-    plain_numbers,
+    rows_axis,
     trials,
     wrapped,
 )
@@ -52,31 +53,22 @@ def pair_label(row: PairRow) -> str:
 
 def plot_forest(ax: Axes, rows: Sequence[PairRow]) -> None:
     """Draw each pair's difference with its interval; hollow if it is not significant."""
+    words = {True: "significant", False: "not significant"}
     for y, row in enumerate(rows):
-        e = row.difference
-        if np.isfinite([e.low, e.high]).all():
-            ax.plot([e.low, e.high], [y, y], color=row.style.color, lw=1.7, zorder=2)
+        color = row.style.color
+        bar(ax, row.difference, y, color=color, lw=1.7, zorder=2)
         ax.plot(
-            [e.value], [y], marker=row.style.marker, ms=6, mec=row.style.color,
-            mfc=row.style.color if row.told_apart else PAPER, zorder=3,
-            label="significant" if row.told_apart else "not significant",
+            [row.difference.value], [y], marker=row.style.marker, ms=6, mec=color,
+            mfc=color if row.told_apart else PAPER, zorder=3, label=words[row.told_apart],
         )  # fmt: skip
     ax.axvline(0, color=INK, lw=1.0)
-    ax.set_ylim(len(rows) - 0.4, -0.6)
-    ax.set_yticks(range(len(rows)), [pair_label(row) for row in rows])
-    ax.tick_params(axis="y", length=0, labelsize=8.5)
-    ax.spines["left"].set_visible(False)
-    ax.grid(axis="x")
+    labels, ends = [pair_label(row) for row in rows], (len(rows) - 0.4, -0.6)
+    rows_axis(ax, range(len(rows)), labels, ends, "iterations that the first saves")
+    ax.tick_params(axis="y", labelsize=8.5)
     ax.grid(axis="y", color=GRID, lw=0.4)
-    ax.set_xlabel("iterations that the first saves")
-    plain_numbers(ax.xaxis)
-    entries = [("significant", True, MUTED), ("not significant", False, PAPER)]
-    handles = [
-        Line2D([], [], color=MUTED, marker="o", mfc=face, label=label)
-        for label, kind, face in entries
-        if any(row.told_apart == kind for row in rows)
-    ]
-    legend_above(ax, handles, columns=2)
+    kinds = [k for k in words if any(row.told_apart == k for row in rows)]
+    faces = {True: MUTED, False: PAPER}
+    legend_above(ax, marks([(words[k], faces[k]) for k in kinds]), columns=2)
 
 
 def oriented(comparison: Comparison) -> tuple[str, str, Estimate]:
@@ -87,51 +79,37 @@ def oriented(comparison: Comparison) -> tuple[str, str, Estimate]:
     return comparison.a, comparison.b, negated(e)
 
 
-def _shown(e: GroupEvidence) -> list[Comparison]:
-    """All comparisons, or those with the fastest configuration."""
-    if len(e.comparisons) <= MOST_PAIRS or e.group.crossed is not None:
-        return e.comparisons
-    best = min(e.group.configurations, key=lambda c: float(c.durations.mean())).name
-    return [c for c in e.comparisons if best in (c.a, c.b)]
-
-
-def _draw_forest(e: GroupEvidence) -> Figure:
-    """Draw the pairs, the largest difference on top."""
-    labels, looks, layout = e.group.labels, e.group.styles, e.group.crossed
+@kind(
+    "forest",
+    "Every pair compared",
+    lambda e: len(e.comparisons) > 0 and e.group.plane is None and not e.group.sized,
+)
+def forest(e: GroupEvidence) -> Shown:
+    """The pairs, the largest difference on top; of many, those with the fastest configuration."""
+    labels, looks, layout, shown = e.group.labels, e.group.styles, e.group.crossed, e.comparisons
+    if len(shown) > MOST_PAIRS and layout is None:
+        best = min(e.group.configurations, key=lambda c: float(c.durations.mean())).name
+        shown = [c for c in shown if best in (c.a, c.b)]
     rest = {n: layout.options[o] for (_, o), n in layout.cells.items()} if layout else labels
     rows = []
-    for comparison in _shown(e):
+    for comparison in shown:
         first, second, difference = oriented(comparison)
         told_apart = comparison.winner is not None
         rows.append(PairRow(labels[first], rest[second], difference, told_apart, looks[first]))
     rows.sort(key=lambda row: -row.difference.value)
     figure = new_figure(1.15 + sum(0.215 + 0.13 * pair_label(r).count("\n") for r in rows))
     plot_forest(figure.subplots(), rows)
-    return figure
-
-
-def _forest_caption(e: GroupEvidence) -> str:
-    real, shown = sum(c.winner is not None for c in e.comparisons), _shown(e)
     some = (
         f" Only the {len(shown)} pairs with the fastest configuration are shown; the table has all."
         if len(shown) < len(e.comparisons)
         else ""
     )
-    return (
+    return figure, (
         "Mean number of iterations (restricted to the cap) that the first of a pair saves compared"
         " with the second. Bar: interval at the level of the pair’s step in Holm’s correction for"
         f" all pairs, {100 * e.level:g} % together. Filled: significant, the interval excludes 0,"
-        f" {real} of {len(e.comparisons)} pairs.{some}"
+        f" {sum(c.winner is not None for c in e.comparisons)} of {len(e.comparisons)} pairs.{some}"
     )
-
-
-FOREST = Kind(
-    "forest",
-    "Every pair compared",
-    lambda e: len(e.comparisons) > 0 and e.group.plane is None and not e.group.sized,
-    _draw_forest,
-    _forest_caption,
-)
 
 
 GAP = 0.9
@@ -162,26 +140,19 @@ def plot_effects(
 ) -> None:
     """Draw each estimate with its interval, in named blocks with one row per option."""
     for dot in dots:
-        y, e = height(dot.block, dot.place, options), dot.estimate
-        if np.isfinite([e.low, e.high]).all():
-            ax.plot([e.low, e.high], [y, y], color=dot.style.color, lw=1.6, zorder=2)
-        ax.plot(
-            [e.value], [y], ls="", marker=dot.style.marker, color=dot.style.color, ms=5.5, zorder=3
-        )
+        y, e, color = height(dot.block, dot.place, options), dot.estimate, dot.style.color
+        bar(ax, e, y, color=color, lw=1.6, zorder=2)
+        ax.plot([e.value], [y], ls="", marker=dot.style.marker, color=color, ms=5.5, zorder=3)
     middles = [height(b, 0, options) + (options - 1) / 2 for b in range(len(blocks))]
-    ax.set_yticks(middles, [wrapped(block, 18) for block in blocks])
-    ax.tick_params(axis="y", length=0)
-    ax.set_ylim(height(len(blocks) - 1, options - 1, options) + 0.8, -0.8)
+    end = height(len(blocks) - 1, options - 1, options) + 0.8
+    rows_axis(ax, middles, [wrapped(block, 18) for block in blocks], (end, -0.8), quantity)
     for block in range(1, len(blocks)):
         ax.axhline(height(block, 0, options) - (GAP + 1) / 2, color=GRID, lw=0.8, zorder=0)
-    ax.spines["left"].set_visible(False)
-    ax.grid(axis="x")
-    ax.set_xlabel(quantity, color=INK)
-    plain_numbers(ax.xaxis)
 
 
-def _draw_effects(e: GroupEvidence) -> Figure:
-    """Draw pass rate and mean iterations of a crossed group."""
+@kind("effects", "What the options do", crossed, hero=True, why=True)
+def effects(e: GroupEvidence) -> Shown:
+    """Pass rate and mean iterations of a crossed group."""
     group, layout = e.group, e.group.crossed
     assert layout is not None
     rates, means = [], []
@@ -202,22 +173,11 @@ def _draw_effects(e: GroupEvidence) -> Figure:
     right.xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 2.5, 5, 10]))
     right.set_xlim(0, 1.04 * group.cap)
     legend_of(left, options_of(group))
-    return figure
-
-
-def _effects_caption(e: GroupEvidence) -> str:
-    layout = e.group.crossed
-    assert layout is not None
-    return (
+    return figure, (
         f"Left: share of {trials(e)} trials that pass. Right: mean number of iterations; failed"
-        f" trials count as {e.group.cap:,}. Bars: {100 * e.level:g} % intervals (left: Wilson;"
+        f" trials count as {group.cap:,}. Bars: {100 * e.level:g} % intervals (left: Wilson;"
         f" right: MOVER). Circles: {layout.options[0]}."
     )
-
-
-EFFECTS = Kind(
-    "effects", "What the options do", crossed, _draw_effects, _effects_caption, hero=True, why=True
-)
 
 
 ACTING = "What agents do, and what they have learned"
@@ -249,48 +209,29 @@ def acting_rows(found: Sequence[Decomposition]) -> list[ActingRow]:
     return rows + ([ActingRow("softmax", last, softmax, True)] if last else [])
 
 
-def plot_acting(ax: Axes, rows: Sequence[ActingRow], quantity: str) -> None:
-    """Draw both scores of every row with their intervals, and a line between them."""
-    for y, row in enumerate(rows):
-        color, mark = row.style.color, row.style.marker
-        behaved, learned = row.acting.behaved, row.acting.learned
-        ax.plot([behaved.value, learned.value], [y, y], color=color, lw=1.1, zorder=2)
-        for e, face in ((behaved, PAPER), (learned, color)):
-            if np.isfinite([e.low, e.high]).all():
-                ax.plot([e.low, e.high], [y, y], color=color, lw=3.4, alpha=0.35, zorder=1)
-            ax.plot([e.value], [y], ls="", marker=mark, mfc=face, mec=color, ms=6, zorder=3)
-        if row.first and y:
-            ax.axhline(y - 0.5, color=GRID, lw=0.8, zorder=0)
-    ax.set_yticks(range(len(rows)), [wrapped(row.label, 24) for row in rows])
-    ax.set_ylim(len(rows) - 0.4, -0.6)
-    ax.tick_params(axis="y", length=0)
-    ax.spines["left"].set_visible(False)
-    ax.grid(axis="x")
-    ax.set_xlabel(quantity, color=INK)
-    plain_numbers(ax.xaxis)
-    handles = [
-        Line2D([], [], ls="", color=MUTED, marker="o", mfc=face, ms=6, label=label)
-        for label, face in (("while it explores", PAPER), ("without exploration", MUTED))
-    ]
-    legend_above(ax, handles, columns=2)
-
-
-def draw_acting(found: Sequence[Decomposition]) -> Figure:
-    """The figure of one environment."""
+def draw_acting(found: Sequence[Decomposition]) -> Shown:
+    """Both scores of every row of one environment with their intervals, joined by a line."""
     rows = acting_rows(found)
     figure = new_figure(1.1 + sum(0.13 + 0.16 * line_count(row.label, 24) for row in rows))
-    plot_acting(figure.subplots(), rows, "mean score over training")
-    return figure
-
-
-def acting_caption(found: Sequence[Decomposition]) -> str:
-    """What the figure shows."""
-    level = acting_rows(found)[0].acting.behaved.level
-    return (
+    ax = figure.subplots()
+    for y, row in enumerate(rows):
+        color, behaved, learned = row.style.color, row.acting.behaved, row.acting.learned
+        ax.plot([behaved.value, learned.value], [y, y], color=color, lw=1.1, zorder=2)
+        look: dict[str, Any] = {"marker": row.style.marker, "mec": color, "ms": 6, "zorder": 3}
+        for e, face in ((behaved, PAPER), (learned, color)):
+            bar(ax, e, y, color=color, lw=3.4, alpha=0.35, zorder=1)
+            ax.plot([e.value], [y], ls="", mfc=face, **look)
+        if row.first and y:
+            ax.axhline(y - 0.5, color=GRID, lw=0.8, zorder=0)
+    labels, ends = [wrapped(row.label, 24) for row in rows], (len(rows) - 0.4, -0.6)
+    rows_axis(ax, range(len(rows)), labels, ends, "mean score over training")
+    entries = [("while it explores", PAPER), ("without exploration", MUTED)]
+    legend_above(ax, marks(entries), columns=2)
+    return figure, (
         f"{found[0].environment}. Hollow: mean score of the training episodes, in which the agent"
         " explores. Filled: mean score of the same weights, played without exploration in episodes"
         " of their own. Both are means over the whole training and over trials; the distance"
-        f" between them is lost to acting. Shaded: {100 * level:g} % intervals. “Corrected”: with"
-        " the per-step ratio; “biased as”: softmax acts, and its gradient has the bias of the"
-        " other strategy."
+        f" between them is lost to acting. Shaded: {100 * rows[0].acting.behaved.level:g} %"
+        " intervals. “Corrected”: with the per-step ratio; “biased as”: softmax acts, and its"
+        " gradient has the bias of the other strategy."
     )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,10 +13,13 @@ from matplotlib.figure import Figure
 from trl_explore.report.curves import Curve
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures.axes import (
+    DASHED,
     NAMED,
     Kind,
+    Shown,
     crossed,
     few,
+    kind,
     line_count,
     new_figure,
     plain_numbers,
@@ -27,18 +30,19 @@ from trl_explore.report.figures.axes import (
 from trl_explore.report.figures.panels import (
     MARKS,
     PANELS_PER_ROW,
-    Panel,
     draw_panels,
     fill_panels,
     limits_of,
     panels_of,
     plot_curves,
 )
-from trl_explore.report.style import INK, LineStyle, Style
+from trl_explore.report.style import INK, MUTED, LineStyle, Style
 from trl_explore.training.quantities import DIAGNOSTICS, Diagnostic
 
 GREEDY: LineStyle = (0, (5.0, 2.0))
 """Line style of evaluations."""
+CurvesPanel = tuple[str, Sequence[tuple[Curve, Style]]]
+"""Title of a panel, and its curves."""
 
 
 def plot_learning(
@@ -61,7 +65,7 @@ def plot_learning(
         markevery=(every // 2, every), zorder=3,
     )  # fmt: skip
     if threshold is not None:
-        ax.axhline(threshold, color=INK, lw=1.0, ls=(0, (4, 3)), zorder=2)
+        ax.axhline(threshold, color=INK, lw=1.0, ls=DASHED, zorder=2)
     ax.set_title(wrapped(title, 28), loc="left", color=INK)
     ax.grid()
     curves = [curve, *(other for other, _ in others)]
@@ -74,7 +78,12 @@ def _quantity(e: GroupEvidence) -> str:
     return f"mean score, last {e.group.window} episodes"
 
 
-def _draw_learning(e: GroupEvidence) -> Figure:
+@kind(
+    "learning",
+    "Learning curves",
+    lambda e: whole_study(e) and few(e) and len(e.traces.learning) > 0,
+)
+def learning(e: GroupEvidence) -> Shown:
     """One panel per configuration, all on the same axes."""
     group, curves = e.group, e.traces.learning
     names = list(curves)
@@ -88,95 +97,88 @@ def _draw_learning(e: GroupEvidence) -> Figure:
 
     figure = new_figure(1.0 + height * lines)
     fill_panels(figure, names, draw, "iteration", _quantity(e))
-    return figure
-
-
-def _learning_caption(e: GroupEvidence) -> str:
-    curves = e.traces.learning
     bands = any(curve.low is not None for curve in curves.values())
     what = "Line: mean over trials" + ("; band: middle half of the trials" if bands else "")
     absent = "" if bands else " There are no bands because episodes were not recorded."
-    missing = len(e.group.configurations) - len(curves)
+    missing = len(group.configurations) - len(curves)
     none = f" Configurations without a recorded curve: {missing}." if missing else ""
-    return (
+    return figure, (
         f"{what}; thin lines: the other configurations. Stopped trials keep their last score. The"
-        f" dashed line is the score to pass, {e.group.threshold:g}.{absent}{none}"
+        f" dashed line is the score to pass, {group.threshold:g}.{absent}{none}"
     )
 
 
-def _draw_panels(e: GroupEvidence) -> Figure:
-    """One panel per row of a crossed group."""
-    group = e.group
-    curves = {name: Curve(c.iterations, c.mean) for name, c in e.traces.learning.items()}
-    limits = limits_of(list(curves.values()), line=group.threshold)
+def _draw(
+    e: GroupEvidence,
+    panels: Sequence[CurvesPanel],
+    quantity: str,
+    *,
+    line: float | None = None,
+    log: bool = False,
+    from_zero: bool = True,
+    limits: tuple[float, float] | None = None,
+    legend: Sequence[tuple[str, Style]] | None = None,
+) -> Figure:
+    """Panels of curves; without ``limits``, they fit all curves."""
+    every = [curve for _, rows in panels for curve, _ in rows]
+    limits = limits or limits_of(every, line=line, log=log, from_zero=from_zero)
 
-    def draw(ax: Axes, panel: Panel) -> None:
-        mine = [(curves[name], group.styles[name]) for name in panel.names if name in curves]
-        if mine:
-            plot_curves(ax, mine, title=panel.title, line=group.threshold, limits=limits)
+    def draw(ax: Axes, panel: CurvesPanel) -> None:
+        if panel[1]:
+            plot_curves(ax, panel[1], title=panel[0], line=line, limits=limits, log=log)
 
-    return draw_panels(group, draw, panels_of(group), "iteration", _quantity(e))
-
-
-def _panels_caption(e: GroupEvidence) -> str:
-    return (
-        "Mean over trials; stopped trials keep their last score. The dashed line is the score"
-        f" to pass, {e.group.threshold:g}."
-    )
-
-
-def _draw_evaluation(e: GroupEvidence) -> Figure:
-    """Draw the scores in training and of the greedy policy, one panel per configuration."""
-    group, curves = e.group, e.traces.evaluations
-    panels = [Panel(group.labels[name], (name,)) for name in curves]
-    limits = limits_of([c for pair in curves.values() for c in pair], line=group.threshold)
-
-    def draw(ax: Axes, panel: Panel) -> None:
-        color = group.styles[panel.names[0]].color
-        looks = Style(color, "o", "-"), Style(color, "D", GREEDY)
-        pair = list(zip(curves[panel.names[0]], looks, strict=True))
-        plot_curves(ax, pair, title=panel.title, line=group.threshold, limits=limits)
-
-    neutral = [("training", Style("#5f6670", "o", "-")),
-               ("greedy policy, evaluated", Style("#5f6670", "D", GREEDY))]  # fmt: skip
-    return draw_panels(group, draw, panels, "iteration", "mean score", legend=neutral)
+    return draw_panels(e.group, draw, panels, "iteration", quantity, legend=legend)
 
 
-def _evaluation_caption(e: GroupEvidence) -> str:
-    gains = []
-    for name, (training, greedy) in list(e.traces.evaluations.items())[:6]:
-        ends = greedy.mean[-1] - training.mean[-1]
-        sign = "+" if ends >= 0 else "−"
-        gains.append(f"{e.group.labels[name]} {sign}{abs(ends):.3g}")
-    return (
-        "Solid: score in training, which includes the cost of exploration. Dashed: score of the"
-        " same agents in separate evaluation episodes, in which they take the greedy action and do"
-        " not learn. Means over trials; stopped trials keep their last score. Greedy minus training"
-        f" at the end: {'; '.join(gains)}."
-    )
+def _panels(e: GroupEvidence, curves: Mapping[str, Curve], title: str = "") -> list[CurvesPanel]:
+    """The curves of each panel of the group; ``title`` follows that of the panel."""
+    return [
+        (
+            ": ".join(w for w in (panel.title, title) if w),
+            [(curves[name], e.group.styles[name]) for name in panel.names if name in curves],
+        )
+        for panel in panels_of(e.group)
+    ]
 
 
-LEARNING = Kind(
-    "learning",
-    "Learning curves",
-    lambda e: whole_study(e) and few(e) and len(e.traces.learning) > 0,
-    _draw_learning,
-    _learning_caption,
-)
-PANELS = Kind(
+@kind(
     "learning-panels",
     "Learning curves",
     lambda e: crossed(e) and len(e.traces.learning) > 0,
-    _draw_panels,
-    _panels_caption,
 )
-EVALUATION = Kind(
+def panels(e: GroupEvidence) -> Shown:
+    """One panel per row of a crossed group."""
+    curves = {name: Curve(c.iterations, c.mean) for name, c in e.traces.learning.items()}
+    threshold = e.group.threshold
+    return _draw(e, _panels(e, curves), _quantity(e), line=threshold), (
+        "Mean over trials; stopped trials keep their last score. The dashed line is the score"
+        f" to pass, {threshold:g}."
+    )
+
+
+@kind(
     "evaluation",
     "The agent without exploration",
     lambda e: few(e) and len(e.traces.evaluations) > 0,
-    _draw_evaluation,
-    _evaluation_caption,
 )
+def evaluation(e: GroupEvidence) -> Shown:
+    """The scores in training and of the greedy policy, one panel per configuration."""
+    group, gains, found = e.group, [], []
+    for name, (training, greedy) in e.traces.evaluations.items():
+        color, label = group.styles[name].color, group.labels[name]
+        found.append(
+            (label, [(training, Style(color, "o", "-")), (greedy, Style(color, "D", GREEDY))])
+        )
+        ends = greedy.mean[-1] - training.mean[-1]
+        gains.append(f"{label} {'+' if ends >= 0 else '−'}{abs(ends):.3g}")
+    neutral = [("training", Style(MUTED, "o", "-")),
+               ("greedy policy, evaluated", Style(MUTED, "D", GREEDY))]  # fmt: skip
+    return _draw(e, found, "mean score", line=group.threshold, legend=neutral), (
+        "Solid: score in training, which includes the cost of exploration. Dashed: score of the"
+        " same agents in separate evaluation episodes, in which they take the greedy action and do"
+        " not learn. Means over trials; stopped trials keep their last score. Greedy minus training"
+        f" at the end: {'; '.join(gains[:6])}."
+    )
 
 
 FEWER = 12
@@ -194,35 +196,22 @@ def _recorded(name: str, e: GroupEvidence) -> bool:
     return readable and name in e.traces.diagnostics
 
 
-def _draw(e: GroupEvidence, name: str, quantity: Diagnostic) -> Figure:
-    group, curves = e.group, e.traces.diagnostics[name]
+def _diagnostic(e: GroupEvidence, name: str, quantity: Diagnostic) -> Shown:
+    curves = e.traces.diagnostics[name]
     log = quantity.may_be_log and spans_much([curve.mean for curve in curves.values()])
-    limits = limits_of(
-        list(curves.values()), line=quantity.line, log=log, from_zero=quantity.from_zero
-    )
-    if quantity.bounds == (0.0, 1.0):
-        limits = (0.0, 1.04)
-
-    def draw(ax: Axes, panel: Panel) -> None:
-        mine = [(curves[n], group.styles[n]) for n in panel.names if n in curves]
-        if mine:
-            plot_curves(ax, mine, title=panel.title, line=quantity.line,
-                        limits=limits, log=log)  # fmt: skip
-
+    limits = (0.0, 1.04) if quantity.bounds == (0.0, 1.0) else None
     axis = quantity.axis + (" (logarithmic)" if log else "")
-    return draw_panels(group, draw, panels_of(group), "iteration", axis)
-
-
-def _means(e: GroupEvidence, curves: dict[str, Curve]) -> str:
-    """The mean of each curve; in a crossed group, only of the first option."""
-    layout = e.group.crossed
-    if layout is None:
-        labels, option = e.group.labels, ""
-    else:
+    figure = _draw(e, _panels(e, curves), axis, line=quantity.line, log=log,
+                   from_zero=quantity.from_zero, limits=limits)  # fmt: skip
+    layout, labels, option = e.group.crossed, e.group.labels, ""
+    if layout is not None:  # only the first option
         labels = {n: layout.rows[r] for (r, o), n in sorted(layout.cells.items()) if o == 0}
         option = f", {layout.options[0]}"
-    texts = [f"{labels[n]}: {_short(curves[n].level)}" for n in labels if n in curves]
-    return f" Mean of each line over all iterations{option}: {'; '.join(texts[:NAMED])}."
+    means = [f"{labels[n]}: {_short(curves[n].level)}" for n in labels if n in curves][:NAMED]
+    return figure, (
+        f"{quantity.caption}{HOW} Mean of each line over all iterations{option}:"
+        f" {'; '.join(means)}."
+    )
 
 
 def _short(value: float) -> str:
@@ -236,53 +225,26 @@ def _short(value: float) -> str:
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.2g}"
 
 
-def _kind(name: str, quantity: Diagnostic) -> Kind:
-    return Kind(
+DIAGNOSTIC_KINDS = tuple(
+    Kind(
         name,
         quantity.title,
-        lambda e: _recorded(name, e),
-        lambda e: _draw(e, name, quantity),
-        lambda e: f"{quantity.caption}{HOW}{_means(e, e.traces.diagnostics[name])}",
+        partial(_recorded, name),
+        partial(_diagnostic, name=name, quantity=quantity),
         recorded=True,
         why=name in WHY,
     )
-
-
-DIAGNOSTIC_KINDS = tuple(_kind(name, q) for name, q in DIAGNOSTICS.items() if not q.policy)
-
-ENTROPIES = tuple(name for name, quantity in DIAGNOSTICS.items() if quantity.policy)
-FIRST = DIAGNOSTICS[ENTROPIES[0]]
-
-
-def _draw_entropy(e: GroupEvidence) -> Figure:
-    """Draw the entropies of π (left) and μ (right) in pairs of panels."""
-    group = e.group
-    panels = [
-        replace(
-            panel,
-            title=f"{panel.title}: {DIAGNOSTICS[name].policy}".removeprefix(": "),
-            quantity=name,
-        )
-        for panel in panels_of(group)
-        for name in ENTROPIES
-    ]
-    found = {name: e.traces.diagnostics.get(name, {}) for name in ENTROPIES}
-    limits = limits_of([curve for curves in found.values() for curve in curves.values()])
-
-    def draw(ax: Axes, panel: Panel) -> None:
-        curves = found[panel.quantity]
-        mine = [(curves[n], group.styles[n]) for n in panel.names if n in curves]
-        if mine:
-            plot_curves(ax, mine, title=panel.title, limits=limits)
-
-    return draw_panels(group, draw, panels, "iteration", FIRST.axis)
-
-
-ENTROPY = Kind(
-    "entropy",
-    FIRST.title,
-    lambda e: _recorded(ENTROPIES[0], e),
-    _draw_entropy,
-    lambda e: f"{FIRST.caption}{HOW}",
-    recorded=True,
+    for name, quantity in DIAGNOSTICS.items()
+    if not quantity.policy
 )
+
+ENTROPIES = {name: q.policy for name, q in DIAGNOSTICS.items() if q.policy}
+FIRST = DIAGNOSTICS[next(iter(ENTROPIES))]
+
+
+@kind("entropy", FIRST.title, partial(_recorded, next(iter(ENTROPIES))), recorded=True)
+def entropy(e: GroupEvidence) -> Shown:
+    """The entropies of π (left) and μ (right) in pairs of panels."""
+    found = [_panels(e, e.traces.diagnostics.get(n, {}), str(p)) for n, p in ENTROPIES.items()]
+    pairs = [panel for row in zip(*found, strict=True) for panel in row]
+    return _draw(e, pairs, FIRST.axis), f"{FIRST.caption}{HOW}"

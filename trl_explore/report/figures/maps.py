@@ -13,7 +13,16 @@ from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from trl_explore.report.evidence import GroupEvidence
-from trl_explore.report.figures.axes import NAMED, Kind, each, new_figure, number, trials, wrapped
+from trl_explore.report.figures.axes import (
+    NAMED,
+    Shown,
+    each,
+    kind,
+    new_figure,
+    number,
+    trials,
+    wrapped,
+)
 from trl_explore.report.figures.axes import plane as is_plane
 from trl_explore.report.style import INK, MAP, MAP_INKS, MUTED, WIDTH, contrast
 from trl_explore.statistics.summary import Summary
@@ -90,9 +99,10 @@ def ink_on(color: str) -> str:
     return max(MAP_INKS, key=lambda ink: contrast(ink, color))
 
 
-def _draw_plane(
+def _plane(
     e: GroupEvidence, title: str, value: Callable[[Summary], float], scale: tuple[float, float]
-) -> Figure:
+) -> tuple[Figure, str]:
+    """The map of a quantity, and the words on its frame."""
     layout = e.group.plane
     assert layout is not None
     values = np.full((len(layout.xs), len(layout.ys)), np.nan)
@@ -106,47 +116,32 @@ def _draw_plane(
         marked=marked,
     )  # fmt: skip
     ax.set_title(title, loc="left", color=INK)
-    return figure
+    name = layout.reference
+    return figure, f"Framed: {e.group.labels[name]}, the thesis’s softmax. " if name else ""
 
 
-def _draw_pass(e: GroupEvidence) -> Figure:
-    return _draw_plane(e, "trials that pass, %", lambda s: 100 * s.pass_rate.value, (0.0, 100.0))
-
-
-def _draw_iterations(e: GroupEvidence) -> Figure:
-    best = min(s.restricted_mean.value for s in e.summaries)
-    ends = (float(e.group.cap), best)
-    return _draw_plane(e, "mean iterations", lambda s: s.restricted_mean.value, ends)
-
-
-def _frame(e: GroupEvidence) -> str:
-    name = e.group.plane.reference if e.group.plane is not None else None
-    return f"Framed: {e.group.labels[name]}, the thesis’s softmax. " if name else ""
-
-
-def _pass_caption(e: GroupEvidence) -> str:
+@kind("map-pass", "Where trials pass", is_plane, hero=True)
+def passing(e: GroupEvidence) -> Shown:
+    """The map of the pass rate."""
     width = max(50 * (s.pass_rate.high - s.pass_rate.low) for s in e.summaries)
-    return (
-        f"Percentage of {trials(e)} trials that pass; lighter is better. {_frame(e)}A cell is"
+    figure, frame = _plane(
+        e, "trials that pass, %", lambda s: 100 * s.pass_rate.value, (0.0, 100.0)
+    )
+    return figure, (
+        f"Percentage of {trials(e)} trials that pass; lighter is better. {frame}A cell is"
         f" uncertain by up to ±{width:.0f} points: look at the pattern, not at single cells."
     )
 
 
-def _iterations_caption(e: GroupEvidence) -> str:
-    return (
+@kind("map-iterations", "How many iterations they take", is_plane)
+def iterations(e: GroupEvidence) -> Shown:
+    """The map of the mean iterations."""
+    ends = (float(e.group.cap), min(s.restricted_mean.value for s in e.summaries))
+    figure, frame = _plane(e, "mean iterations", lambda s: s.restricted_mean.value, ends)
+    return figure, (
         "Mean number of iterations to convergence; failed trials count as"
-        f" {e.group.cap:,}. Lighter is faster. {_frame(e)}"
+        f" {e.group.cap:,}. Lighter is faster. {frame}"
     )
-
-
-PASS = Kind("map-pass", "Where trials pass", is_plane, _draw_pass, _pass_caption, hero=True)
-ITERATIONS = Kind(
-    "map-iterations",
-    "How many iterations they take",
-    is_plane,
-    _draw_iterations,
-    _iterations_caption,
-)
 
 
 COLUMNS = 4
@@ -160,10 +155,27 @@ def _names(e: GroupEvidence) -> list[str]:
     return [c.name for c in e.group.configurations if c.name in e.traces.visits][:NAMED]
 
 
-def _chosen(iterations: NDArray[np.int64]) -> list[int]:
-    """Places of iterations that are about evenly spaced on a logarithmic scale."""
-    count = min(COLUMNS, len(iterations))
-    return np.unique(np.linspace(0, len(iterations) - 1, count).round().astype(int)).tolist()
+@kind(
+    "visits",
+    "Where the trials have been",
+    # All maps have the same rows and columns.
+    lambda e: len({e.traces.visits[name]["visits"].shape[1:] for name in _names(e)}) == 1,
+    recorded=True,
+)
+def visits(e: GroupEvidence) -> Shown:
+    """The shares of the frames in each state, at a few iterations."""
+
+    def reached(name: str) -> str:
+        cells = e.traces.visits[name]["reached"][-1]
+        return f"{(cells > 0).sum()} of {cells.size}" if name in e.traces.visits else "not recorded"
+
+    plain = PLANES.get(e.group.env_id) is None
+    what, place = ("states", "state") if plain else ("cells", "cell of a grid of two features")
+    return _draw_visits(e), (
+        f"Share of the frames of all trials in each {place}, from iteration 1 to the one over"
+        f" the map (logarithmic colours; white: never). Reached by any trial at the end, {what}:"
+        f" {each(e, lambda c: reached(c.name))}."
+    )
 
 
 def _draw_visits(e: GroupEvidence) -> Figure:
@@ -179,7 +191,9 @@ def _draw_visits(e: GroupEvidence) -> Figure:
         found = e.traces.visits[name]
         for ax in line:
             ax.set_axis_off()
-        for ax, k in zip(line, _chosen(found["iteration"]), strict=False):
+        end = len(found["iteration"]) - 1  # evenly spaced on a logarithmic scale
+        chosen = np.unique(np.linspace(0, end, min(COLUMNS, end + 1)).round().astype(int))
+        for ax, k in zip(line, chosen.tolist(), strict=False):
             share = found["visits"][k] / found["visits"][k].sum()
             image = ax.imshow(
                 np.where(share > 0, share, np.nan), cmap=ListedColormap(MAP), aspect="auto",
@@ -201,32 +215,3 @@ def _draw_visits(e: GroupEvidence) -> Figure:
     bar.ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
     bar.set_label("share of the frames so far", fontsize=9)
     return figure
-
-
-def _visits_caption(e: GroupEvidence) -> str:
-    def reached(name: str) -> str:
-        cells = e.traces.visits[name]["reached"][-1]
-        return f"{(cells > 0).sum()} of {cells.size}" if name in e.traces.visits else "not recorded"
-
-    plain = PLANES.get(e.group.env_id) is None
-    what, place = ("states", "state") if plain else ("cells", "cell of a grid of two features")
-    return (
-        f"Share of the frames of all trials in each {place}, from iteration 1 to the one over"
-        f" the map (logarithmic colours; white: never). Reached by any trial at the end, {what}:"
-        f" {each(e, lambda c: reached(c.name))}."
-    )
-
-
-VISITS = Kind(
-    "visits",
-    "Where the trials have been",
-    lambda e: len(_names(e)) > 0 and _one_shape(e),
-    _draw_visits,
-    _visits_caption,
-    recorded=True,
-)
-
-
-def _one_shape(e: GroupEvidence) -> bool:
-    """Whether all maps have the same rows and columns."""
-    return len({e.traces.visits[name]["visits"].shape[1:] for name in _names(e)}) == 1

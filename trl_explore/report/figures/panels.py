@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from trl_explore.report.curves import Curve
 from trl_explore.report.figures.axes import (
+    DASHED,
     few_ticks,
     handle,
     legend_above,
@@ -34,11 +35,10 @@ DEPTH = 1e-6
 
 @dataclass(frozen=True)
 class Panel:
-    """A panel: title, names of its configurations, and the quantity shown."""
+    """A panel: title and names of its configurations."""
 
     title: str
     names: tuple[str, ...]
-    quantity: str = ""
 
 
 def panels_of(group: Group) -> list[Panel]:
@@ -54,8 +54,8 @@ def panels_of(group: Group) -> list[Panel]:
 
 def draw_panels(
     group: Group,
-    draw: Callable[[Axes, Panel], None],
-    panels: Sequence[Panel],
+    draw: Callable[[Axes, T], None],
+    panels: Sequence[T],
     x: str,
     y: str,
     *,
@@ -135,7 +135,7 @@ def plot_curves(
             ms=4, markevery=(min(first, len(x) - 1), every), zorder=3,
         )  # fmt: skip
     if line is not None:
-        ax.axhline(line, color=INK, lw=1.0, ls=(0, (4, 3)), zorder=2)
+        ax.axhline(line, color=INK, lw=1.0, ls=DASHED, zorder=2)
     ax.set_title(wrapped(title, 28), loc="left", color=INK)
     ax.set_yscale("log" if log else "linear")
     ax.grid()

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures.axes import (
-    Kind,
+    Shown,
     by,
     crossed,
     each,
+    kind,
     line_count,
     new_figure,
     passed,
@@ -146,82 +147,58 @@ def _quantity(e: GroupEvidence) -> str:
     return "trials that have not learned" if learned else "trials not yet converged"
 
 
-def _caption(e: GroupEvidence) -> str:
+SHARE, LEARNED = "How many trials are still learning", "How many trials have not learned"
+BY_LEARNING = (
+    "The same trials, judged by what they have learned: the policy is played without exploration."
+)
+
+
+@kind("survival", SHARE, plain, hero=True)
+def curves(e: GroupEvidence) -> Shown:
+    """The curves of all configurations in iterations."""
     many = len(e.group.configurations) > BANDS_UP_TO
     bands = "" if many else f" Bands: {100 * e.level:g} % intervals."
-    return (
+    return draw_survival(e, "iterations"), (
         f"Share of {_quantity(e)} (Kaplan–Meier). A curve that falls earlier and further is"
         f" better. Trials that had not {e.group.did} by {e.group.cap:,} iterations were stopped"
         f" there. {passed(e)}{bands} Below: how many of {trials(e)} trials are still learning."
     )
 
 
-def _frames_caption(e: GroupEvidence) -> str:
-    return (
-        "The same curves by environment steps (frames), which do not depend on the machine. Failed"
-        " trials count as still learning until the end of the axis. They often have short episodes"
-        " and reach the cap after few frames, so removing them there would make poor strategies"
-        " look good."
-    )
-
-
-def _panels_caption(e: GroupEvidence) -> str:
-    return (
+@kind("survival-panels", SHARE, crossed)
+def panels(e: GroupEvidence) -> Shown:
+    """One panel per row of a crossed group."""
+    return _draw_panels(e), (
         "Share of trials that have not converged (Kaplan–Meier). Trials that had not passed by the"
         f" cap of {e.group.cap:,} iterations were stopped there."
         f" Bands: {100 * e.level:g} % intervals."
     )
 
 
-SURVIVAL = Kind(
-    "survival",
-    "How many trials are still learning",
-    plain,
-    lambda e: draw_survival(e, "iterations"),
-    _caption,
-    hero=True,
-)
-PANELS = Kind(
-    "survival-panels", "How many trials are still learning", crossed, _draw_panels, _panels_caption
-)
-
-
-def _learned(e: GroupEvidence) -> GroupEvidence:
+@kind("survival-learned", LEARNED, lambda e: plain(e) and e.learned is not None)
+def learned(e: GroupEvidence) -> Shown:
+    """The same curves, judged by what was learned."""
     assert e.learned is not None
-    return e.learned
-
-
-def _learned_caption(e: GroupEvidence) -> str:
-    e = _learned(e)
-    learned = each(e, lambda c: f"{int(c.converged.sum())} of {len(c)}")
-    return (
-        "The same trials, judged by what they have learned: the policy is played without"
-        f" exploration. Share of trials that have not learned (Kaplan–Meier). Learned{by(e)}:"
-        f" {learned}."
+    counts = each(e.learned, lambda c: f"{int(c.converged.sum())} of {len(c)}")
+    return draw_survival(e.learned, "iterations"), (
+        f"{BY_LEARNING} Share of trials that have not learned (Kaplan–Meier)."
+        f" Learned{by(e.learned)}: {counts}."
     )
 
 
-LEARNED = Kind(
-    "survival-learned",
-    "How many trials have not learned",
-    lambda e: plain(e) and e.learned is not None,
-    lambda e: draw_survival(_learned(e), "iterations"),
-    _learned_caption,
-)
-LEARNED_PANELS = Kind(
-    "survival-learned-panels",
-    "How many trials have not learned",
-    lambda e: crossed(e) and e.learned is not None,
-    lambda e: _draw_panels(_learned(e)),
-    lambda e: (
-        "The same trials, judged by what they have learned: the policy is played without"
-        f" exploration. Bands: {100 * e.level:g} % intervals."
-    ),
-)
-FRAMES = Kind(
-    "survival-frames",
-    "How many trials are still learning, in frames",
-    whole_study,
-    lambda e: draw_survival(e, "frames"),
-    _frames_caption,
-)
+@kind("survival-learned-panels", LEARNED, lambda e: crossed(e) and e.learned is not None)
+def learned_panels(e: GroupEvidence) -> Shown:
+    """The same panels, judged by what was learned."""
+    assert e.learned is not None
+    return _draw_panels(e.learned), f"{BY_LEARNING} Bands: {100 * e.level:g} % intervals."
+
+
+@kind("survival-frames", f"{SHARE}, in frames", whole_study)
+def frames(e: GroupEvidence) -> Shown:
+    """The curves of all configurations in frames."""
+    return draw_survival(e, "frames"), (
+        "The same curves by environment steps (frames), which do not depend on the machine. Failed"
+        " trials count as still learning until the end of the axis. They often have short episodes"
+        " and reach the cap after few frames, so removing them there would make poor strategies"
+        " look good."
+    )

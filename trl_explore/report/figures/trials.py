@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,16 +14,18 @@ from numpy.typing import NDArray
 
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures.axes import (
-    Kind,
+    DASHED,
+    Shown,
     by,
     each,
     few,
+    kind,
     legend_above,
     line_count,
     new_figure,
     number,
     passed,
-    plain_numbers,
+    rows_axis,
     spans_much,
     wrapped,
 )
@@ -75,13 +78,18 @@ def plot_trials(
     raster = sum(len(row.values) for row in rows) > RASTER_FROM_ALL
     for y, row in enumerate(rows):
         present |= _points(ax, row, y, raster)
-        _summary(ax, row, y)
+        values = row.values[np.isfinite(row.values)]
+        if len(values) > 1:
+            low, middle, high = np.quantile(values, [0.25, 0.5, 0.75], method="inverted_cdf")
+            look: dict[str, Any] = {"color": INK, "zorder": 4}
+            ax.plot([low, high], [y + 0.41] * 2, lw=1.6, solid_capstyle="butt", **look)
+            ax.plot([middle], [y + 0.41], marker="|", ms=8, mew=1.8, **look)
         passed = int((row.status == "converged").sum())
         ax.text(
             1.015, y, f"{passed}/{len(row.values)}", transform=ax.get_yaxis_transform(),
             va="center", ha="left", fontsize=8, color=INK,
         )  # fmt: skip
-    if len(rows):
+    if rows:
         ax.text(
             1.015, -0.62, "passed", transform=ax.get_yaxis_transform(),
             va="center", ha="left", fontsize=8, color=MUTED,
@@ -90,20 +98,16 @@ def plot_trials(
     ax.set_xscale("log" if log else "linear")
     handles = _legend(present)
     if line is not None:
-        ax.axvline(line[0], color=INK, lw=1.0, ls=(0, (4, 3)), zorder=1)
-        handles.append(Line2D([], [], color=INK, lw=1.0, ls=(0, (4, 3)), label=line[1]))
-    ax.set_ylim(len(rows) - 0.4, -0.9)
-    ax.set_yticks(range(len(rows)), [wrapped(row.label) for row in rows])
-    ax.tick_params(axis="y", length=0)
-    ax.spines["left"].set_visible(False)
-    ax.grid(axis="x")
+        ax.axvline(line[0], color=INK, lw=1.0, ls=DASHED, zorder=1)
+        handles.append(Line2D([], [], color=INK, lw=1.0, ls=DASHED, label=line[1]))
+    labels = [wrapped(row.label) for row in rows]
+    quantity += " (logarithmic)" if log else ""
+    rows_axis(ax, range(len(rows)), labels, (len(rows) - 0.4, -0.9), quantity)
     ax.hlines(
         np.arange(len(rows) - 1) + 0.55, 0, 1, transform=ax.get_yaxis_transform(),
         color=GRID, lw=0.6, zorder=0,
     )  # fmt: skip
-    ax.set_xlabel(quantity + (" (logarithmic)" if log else ""))
     ax.set_ylabel(of or "")
-    plain_numbers(ax.xaxis)
     legend_above(ax, handles, columns=2)
 
 
@@ -169,15 +173,6 @@ def _points(ax: Axes, row: Row, y: int, raster: bool) -> set[str]:
     return shown
 
 
-def _summary(ax: Axes, row: Row, y: int) -> None:
-    values = row.values[np.isfinite(row.values)]
-    if len(values) < 2:
-        return
-    low, middle, high = np.quantile(values, [0.25, 0.5, 0.75], method="inverted_cdf")
-    ax.plot([low, high], [y + 0.41] * 2, color=INK, lw=1.6, solid_capstyle="butt", zorder=4)
-    ax.plot([middle], [y + 0.41], color=INK, marker="|", ms=8, mew=1.8, zorder=4)
-
-
 def _legend(present: set[str]) -> list[Line2D]:
     entries = {
         "converged": ("converged: passed the task", "o", MUTED),
@@ -196,19 +191,19 @@ def _legend(present: set[str]) -> list[Line2D]:
 
 def _draw(
     e: GroupEvidence,
-    values: Callable[[Outcomes], tuple[Outcomes, NDArray[np.float64]]],
+    values: Callable[[Outcomes], tuple[Outcomes, NDArray[Any]]],
     quantity: str,
     line: tuple[float, str] | None = None,
     *,
     may_be_log: bool = True,
 ) -> Figure:
     """Draw one row of points for each configuration that has values."""
-    rows = []
-    for c in e.group.configurations:
-        shown, numbers = values(c)
-        if len(shown):
-            label, style = e.group.short(c.name), e.group.styles[c.name]
-            rows.append(Row(label, numbers, shown.status, style))
+    rows = [
+        Row(e.group.short(c.name), numbers.astype(np.float64), shown.status, e.group.styles[c.name])
+        for c in e.group.configurations
+        for shown, numbers in [values(c)]
+        if len(shown)
+    ]
     figure = new_figure(1.3 + sum(max(0.42, 0.17 * line_count(row.label)) for row in rows))
     plot_trials(
         figure.subplots(), rows, quantity=quantity, of=e.group.parameter, line=line,
@@ -217,54 +212,66 @@ def _draw(
     return figure
 
 
-def _draw_score(e: GroupEvidence) -> Figure:
-    quantity = f"mean score of the last {e.group.window} episodes"
-    if e.group.did == "learned":
-        quantity = "mean score of the final policy, without exploration"
-    line = e.group.threshold, f"passes above {e.group.threshold:g}"
-    return _draw(e, lambda c: (c, c.score.astype(np.float64)), quantity, line, may_be_log=False)
-
-
-def _score_caption(e: GroupEvidence) -> str:
-    if e.group.did == "learned":
-        return f"One point per trial: its policy, played without exploration. {passed(e)}"
-    return (
+@kind(
+    "score",
+    "Final score of every trial",
+    few,
+    thesis={"thesis": "3.1", "epsilon_grid": "2.1", "decay_grid": "2.3"},
+)
+def score(e: GroupEvidence) -> Shown:
+    """The final scores, and the threshold."""
+    learned, threshold, window = e.group.did == "learned", e.group.threshold, e.group.window
+    quantity = f"mean score of the last {window} episodes"
+    caption = (
         f"One point per trial. {passed(e)} A trial stops as soon as its score exceeds"
-        f" {e.group.threshold:g}, so passing trials lie just above the line, except those that"
-        f" had exceeded it before their {e.group.window}th episode."
+        f" {threshold:g}, so passing trials lie just above the line, except those that"
+        f" had exceeded it before their {window}th episode."
     )
+    if learned:
+        quantity = "mean score of the final policy, without exploration"
+        caption = f"One point per trial: its policy, played without exploration. {passed(e)}"
+    line = threshold, f"passes above {threshold:g}"
+    return _draw(e, lambda c: (c, c.score), quantity, line, may_be_log=False), caption
 
 
-def _draw_iterations(e: GroupEvidence) -> Figure:
+@kind(
+    "iterations",
+    "Iterations of every trial",
+    few,
+    thesis={"thesis": "3.2", "decay_grid": "2.2"},
+)
+def iterations(e: GroupEvidence) -> Shown:
+    """The iterations to convergence, and the cap."""
+
+    def median(c: Outcomes) -> str:
+        # The lower median: of the two middle values, the smaller one.
+        middle = np.sort(np.where(c.converged, c.durations, np.inf))[(len(c) - 1) // 2]
+        return number(float(middle)) if np.isfinite(middle) else "not reached"
+
     line = e.group.cap, f"cap: {e.group.cap:,} iterations"
-    return _draw(
-        e, lambda c: (c, c.durations.astype(np.float64)), "iterations to convergence", line
-    )
-
-
-def _iterations_caption(e: GroupEvidence) -> str:
-    return (
+    return _draw(e, lambda c: (c, c.durations), "iterations to convergence", line), (
         f"Hollow points: trials stopped at the cap of {e.group.cap:,} iterations. They"
         f" would have needed more iterations, or would never have {e.group.did}."
-        f" Medians{by(e)}: {each(e, _median)}."
+        f" Medians{by(e)}: {each(e, median)}."
     )
 
 
-def _median(c: Outcomes) -> str:
-    # The lower median: of the two middle values, the smaller one.
-    middle = np.sort(np.where(c.converged, c.durations, np.inf))[(len(c) - 1) // 2]
-    return number(float(middle)) if np.isfinite(middle) else "not reached"
-
-
-def _seconds_caption(e: GroupEvidence) -> str:
-    seconds = {c.name: e.group.timed(c)[1] for c in e.group.configurations}
-    counts = {len(s) for s in seconds.values()} - {0}
+@kind(
+    "seconds",
+    "Seconds of single trials",
+    lambda e: any(len(e.group.timed(c)[1]) for c in e.group.configurations),
+    thesis={"thesis": "3.3", "decay_grid": "2.4"},
+)
+def seconds(e: GroupEvidence) -> Shown:
+    """The seconds of trials that were timed alone."""
+    timed = {c.name: e.group.timed(c)[1] for c in e.group.configurations}
+    counts = {len(s) for s in timed.values()} - {0}
     some = f"{min(counts)}" if len(counts) == 1 else f"{min(counts)} to {max(counts)}"
 
     def mean(c: Outcomes) -> str:
-        return f"{seconds[c.name].mean():.3g} s" if len(seconds[c.name]) else "not timed"
+        return f"{timed[c.name].mean():.3g} s" if len(timed[c.name]) else "not timed"
 
-    return (
+    return _draw(e, e.group.timed, "seconds of a trial run alone"), (
         f"Each trial was run alone, in random order, after a warm-up; {some} trials per"
         f" configuration. Means{by(e)}: {each(e, mean)}. Seconds depend on program and machine:"
         " an iteration has a fixed cost in addition to the cost of its frames, which slows down"
@@ -272,41 +279,11 @@ def _seconds_caption(e: GroupEvidence) -> str:
     )
 
 
-def _draw_frames(e: GroupEvidence) -> Figure:
-    quantity = "frames until the trial stopped"
-    return _draw(e, lambda c: (c, c.frames.astype(np.float64)), quantity)
-
-
-def _frames_caption(e: GroupEvidence) -> str:
-    means = each(e, lambda c: f"{c.frames.mean():,.0f}")
-    return (
+@kind("frames", "Frames of every trial", few)
+def frames(e: GroupEvidence) -> Shown:
+    """The frames until each trial stopped."""
+    return _draw(e, lambda c: (c, c.frames), "frames until the trial stopped"), (
         "Environment steps until a trial stopped: a cost of learning that does not depend on the"
-        f" machine. Failed trials with short episodes use few frames. Means{by(e)}: {means}."
+        " machine. Failed trials with short episodes use few frames."
+        f" Means{by(e)}: {each(e, lambda c: f'{c.frames.mean():,.0f}')}."
     )
-
-
-SCORE = Kind(
-    "score",
-    "Final score of every trial",
-    few,
-    _draw_score,
-    _score_caption,
-    thesis={"thesis": "3.1", "epsilon_grid": "2.1", "decay_grid": "2.3"},
-)
-ITERATIONS = Kind(
-    "iterations",
-    "Iterations of every trial",
-    few,
-    _draw_iterations,
-    _iterations_caption,
-    thesis={"thesis": "3.2", "decay_grid": "2.2"},
-)
-SECONDS = Kind(
-    "seconds",
-    "Seconds of single trials",
-    lambda e: any(len(e.group.timed(c)[1]) for c in e.group.configurations),
-    lambda e: _draw(e, e.group.timed, "seconds of a trial run alone"),
-    _seconds_caption,
-    thesis={"thesis": "3.3", "decay_grid": "2.4"},
-)
-FRAMES = Kind("frames", "Frames of every trial", few, _draw_frames, _frames_caption)
