@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -61,6 +62,7 @@ def main(words: Sequence[str] | None = None) -> int:
     if name in ("train", "settle", "tune", "thesis"):
         signals.leave_on_signals()
     sys.argv = [f"trl-explore {name}", *arguments]
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it works without a home folder
     try:
         status = import_module(f"trl_explore.commands.{name}").main()
         sys.stdout.flush()

@@ -27,7 +27,14 @@ from omegaconf.errors import OmegaConfBaseException
 from trl_explore.checks import first_line
 from trl_explore.config.building import build_trainer, fill_threshold
 from trl_explore.config.checking import check_keys, describe, differences, resolved
-from trl_explore.config.files import CONF, GROUPS, ConfigError, files_of, search_in
+from trl_explore.config.files import (
+    CONF,
+    GROUPS,
+    ConfigError,
+    check_folder,
+    files_of,
+    search_in,
+)
 from trl_explore.config.naming import register_resolvers
 from trl_explore.jobs.reading import find_jobs, read_run, read_trials
 
@@ -42,10 +49,10 @@ def searching(config_dir: Path | None = None) -> Iterator[None]:
     """Let Hydra compose from ``conf/``, and before it from the user's folder.
 
     Raises:
-        ConfigError: if the folder does not exist.
+        ConfigError: if the folder cannot be read.
     """
-    if config_dir is not None and not config_dir.is_dir():
-        raise ConfigError(f"--config-dir {config_dir}: no such folder")
+    if config_dir is not None:
+        check_folder(config_dir)
     register_resolvers()
     search_in([config_dir] if config_dir else [])
     search = create_config_search_path(str((config_dir or CONF).resolve()))
