@@ -249,7 +249,9 @@ def groups_table(runs: Sequence[Run]) -> Table:
         return high if low == high else f"{low} to {high}"
 
     columns = [
-        *plain_columns("environment", "configuration", "runs", "seeds"),
+        *plain_columns("environment", "configuration"),
+        Column("runs", "runs", lambda r: str(r["runs"]), True),
+        *plain_columns("seeds"),
         Column("last_last", "last step", last_step, True),
     ]
     return Table("configurations", "Configurations", columns, records)
