@@ -452,11 +452,14 @@ WRONG = [
     (("evaluate_every=2.5",), "evaluate_every ... 2.5"),
     (("evaluate_episodes=3", "evaluate_every=0"), "evaluate_episodes=3 ... evaluate_every ... 0"),
     (("evaluate_episodes=0",), "evaluate_episodes ... >= 1 ... 0"),
+    (
+        ("evaluate_episodes=2", "env=pendulum", "policy=gaussian_linear", "strategy=gaussian"),
+        "evaluate_episodes=2 needs evaluations ... auto ... integer >= 1",
+    ),
     (("keep_weights=10",), "keep_weights ... list ... [0,10,50] ... 10"),
     (("keep_weights=[5,11]", "max_iterations=10"), "keep_weights ... <= 10 ... 11"),
     (("evaluate_confirm=19",), "evaluate_confirm ... >= 20 ... 19"),
     (("evaluate_policy=random",), "evaluate_policy ... greedy, sampled ... 'random'"),
-    (("stop_on=evaluation",), "stop_on=evaluation is now stop_on=learned"),
     (("stop_on=score",), "stop_on ... training, learned, both, never ... 'score'"),
     (("stop_on=learned", "evaluate_every=0"), "stop_on=learned needs evaluations"),
     (

@@ -9,80 +9,31 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
-from torch.distributions import Categorical, Normal
+from torch.distributions import Normal
 from torchrl.collectors import Collector
-from torchrl.data import MultiCategorical, MultiOneHot
 from torchrl.envs import SerialEnv
 from torchrl.envs.libs.gym import GymEnv
 from torchrl.modules import (
-    MaskedCategorical,
-    MultiAgentMLP,
     NormalParamExtractor,
     OneHotCategorical,
     ProbabilisticActor,
-    TanhNormal,
     ValueOperator,
 )
 from torchrl.objectives import ReinforceLoss as TorchRLReinforceLoss
 
-from trl_explore.objectives import ReinforceLoss
+from tests.objectives.frames import (
+    by_loop,
+    categorical,
+    expected,
+    frames,
+    log_probs,
+    network,
+    plain_loss,
+)
 from trl_explore.objectives.baselines import LeaveOneOut, LinearValue, StepMean
-from trl_explore.objectives.corrections import Behaviour, PerStep, Trajectory
+from trl_explore.objectives.corrections import PerStep, Trajectory
 from trl_explore.policies.actor import SoftmaxActor
-from trl_explore.strategies import EpsilonSoftmax, Gaussian, Softmax
-
-GAMMA = 0.9
-
-
-def network(n_actions=3, key: Any = "logits", seed=0):
-    torch.manual_seed(seed)
-    return TensorDictModule(nn.Linear(4, n_actions), ["observation"], [key])
-
-
-def categorical(module, key: Any = "logits", kind: Any = Categorical):
-    return ProbabilisticActor(module, in_keys={"logits": key}, distribution_class=kind)
-
-
-def frames(*batch, n_actions=3, seed=0, dtype=torch.float32):
-    g = torch.Generator().manual_seed(seed)
-    return TensorDict(
-        {
-            "observation": torch.randn(*batch, 4, generator=g).to(dtype),
-            "action": torch.randint(n_actions, batch, generator=g),
-            "next": {
-                "reward": torch.randn(*batch, 1, generator=g).to(dtype),
-                "done": torch.rand(*batch, 1, generator=g) < 0.2,
-            },
-        },
-        list(batch),
-    )
-
-
-def by_loop(log_prob, reward, done, gamma=GAMMA):
-    """−Σ_t G_t log π(a_t|s_t) of every row of [rows, time]."""
-    losses = []
-    for row in range(len(reward)):
-        loss, after = torch.zeros(()), 0.0
-        for t in reversed(range(reward.shape[1])):
-            after = reward[row, t] + gamma * after * (not done[row, t])
-            loss = loss - after * log_prob[row, t]
-        losses.append(loss)
-    return torch.stack(losses)
-
-
-def log_probs(module, data, key: Any = "logits"):
-    logits = module(data.copy())[key].log_softmax(-1)
-    return logits.gather(-1, data["action"].unsqueeze(-1)).squeeze(-1)
-
-
-def expected(module, data):
-    reward, done = data["next", "reward"].squeeze(-1), data["next", "done"].squeeze(-1)
-    return by_loop(log_probs(module, data), reward, done)
-
-
-def plain_loss(actor, **options):
-    return ReinforceLoss(actor, **{"gamma": GAMMA, "weight": 1.0, **options})
-
+from trl_explore.strategies import Softmax
 
 # Shapes and types
 
@@ -261,206 +212,6 @@ def test_data_of_torchrls_collectors(layout, copies):
     )
 
 
-# Keys and masks
-
-
-@pytest.mark.parametrize("logits_key", ["logits", "action_value", ("q", "values")])
-@pytest.mark.parametrize("mask_key", [None, "action_mask", "legal"])
-def test_the_gradient_of_a_behaviour_that_reads_other_entries(logits_key, mask_key):
-    module = network(3, logits_key)
-    options = {"logits_key": logits_key, "action_mask_key": mask_key or "action_mask"}
-    strategy = EpsilonSoftmax(0.3, **options)
-    data, logits = frames(6), module.module(frames(6)["observation"])
-    if mask_key:
-        mask = nn.functional.one_hot(data["action"], 3) + torch.tensor([1, 0, 0]) > 0
-        data[mask_key] = mask.to(torch.uint8)
-        logits = logits.masked_fill(~mask, -torch.inf)
-    mu = strategy.probs(logits).gather(-1, data["action"].unsqueeze(-1)).squeeze(-1)
-    losses = by_loop(mu.log()[None], data["next", "reward"].T, data["next", "done"].T)
-    loss = plain_loss(categorical(module, logits_key), correction=Behaviour(), strategy=strategy)
-    torch.testing.assert_close(loss(data)["loss_actor"], losses.sum())
-
-
-@pytest.mark.parametrize("spec", [MultiOneHot([3, 2]), MultiCategorical([3, 2])])
-def test_the_gradient_of_a_behaviour_with_several_heads(spec):
-    module, data = network(5), frames(6)
-    heads = torch.stack([data["action"], data["action"] % 2], -1)
-    hot = [nn.functional.one_hot(heads[:, i], n) for i, n in enumerate((3, 2))]
-    data["action"] = torch.cat(hot, -1).bool() if isinstance(spec, MultiOneHot) else heads
-    data["action_mask"] = torch.cat(hot, -1).bool() | torch.tensor([1, 0, 0, 1, 0]).bool()
-    strategy = EpsilonSoftmax(0.3, 2.0, spec=spec)
-    logits = module.module(data["observation"]).masked_fill(~data["action_mask"], -torch.inf)
-    own = EpsilonSoftmax(0.3, 2.0)
-    mu = [own.probs(part).gather(-1, heads[:, i : i + 1]).log().squeeze(-1)
-          for i, part in enumerate(logits.split((3, 2), -1))]  # fmt: skip
-    torch.testing.assert_close(strategy.log_prob(module(data.copy()), data["action"]), sum(mu))
-    losses = by_loop(sum(mu)[None], data["next", "reward"].T, data["next", "done"].T)
-    loss = plain_loss(
-        categorical(module), correction=Behaviour(), strategy=strategy, entropy_coeff=0.1
-    )
-    entropy = sum(
-        Categorical(own.probs(part), validate_args=False).entropy().sum()
-        for part in logits.split((3, 2), -1)
-    )
-    found, expected = loss(data)["loss_actor"], losses.sum() - 0.1 * loss.weight * entropy
-    torch.testing.assert_close(found, expected)
-    torch.testing.assert_close(
-        torch.autograd.grad(found, loss.parameters()),
-        torch.autograd.grad(expected, list(module.parameters())),
-    )  # fmt: skip
-
-
-def test_the_gradient_of_a_continuous_behaviour_without_trials():
-    net = nn.Sequential(nn.Linear(4, 4), NormalParamExtractor())
-    module = TensorDictModule(net, ["observation"], [("pi", "mean"), ("pi", "width")])
-    actor = ProbabilisticActor(
-        module, in_keys={"loc": ("pi", "mean"), "scale": ("pi", "width")},
-        distribution_class=TanhNormal,
-    )  # fmt: skip
-    keys: Any = {"loc_key": ("pi", "mean"), "scale_key": ("pi", "width")}
-    loss = plain_loss(actor, correction=Behaviour(), strategy=Gaussian(2.0, **keys))
-    data = frames(6)
-    data["action"] = torch.randn(6, 2)
-    loc, scale = net(data["observation"])
-    log_prob = Normal(loc, 2 * scale).log_prob(data["action"]).sum(-1)
-    losses = by_loop(log_prob[None], data["next", "reward"].T, data["next", "done"].T)
-    torch.testing.assert_close(loss(data)["loss_actor"], losses.sum())
-
-
-def test_a_policy_of_several_modules_is_used_whole():
-    module = network()
-    half = TensorDictModule(lambda logits: 0.5 * logits, ["logits"], ["scores"])
-    actor = ProbabilisticActor(
-        TensorDictSequential(module, half), in_keys={"logits": "scores"},
-        distribution_class=Categorical,
-    )  # fmt: skip
-    strategy = Softmax(0.5, logits_key="scores")
-    loss = plain_loss(actor, correction=Behaviour(), strategy=strategy)
-    data = frames(6)
-    # softmax at T = 1/2 of half of the logits: softmax of the logits.
-    torch.testing.assert_close(loss(data)["trial_loss"], expected(module, data[None]).detach())
-
-
-@pytest.mark.parametrize("dtype", [torch.bool, torch.int8, torch.float32])
-def test_the_target_obeys_a_mask_of_another_name_and_type(dtype):
-    module, data = network(), frames(6)
-    mask = nn.functional.one_hot(data["action"], 3) + torch.tensor([1, 0, 0]) > 0
-    logits = module.module(data["observation"]).masked_fill(~mask, -torch.inf).log_softmax(-1)
-    log_prob = logits.gather(-1, data["action"].unsqueeze(-1)).squeeze(-1)
-    losses = by_loop(log_prob[None], data["next", "reward"].T, data["next", "done"].T)
-    data["legal"] = mask.to(dtype)
-    out = plain_loss(SoftmaxActor(module, action_mask_key="legal"))(data)
-    torch.testing.assert_close(out["loss_actor"], losses.sum())
-    data["legal"] = mask
-    keys: Any = {"logits": "logits", "mask": "legal"}
-    torchrls = ProbabilisticActor(module, in_keys=keys, distribution_class=MaskedCategorical)
-    torch.testing.assert_close(plain_loss(torchrls)(data)["loss_actor"], losses.sum())
-
-
-# Several agents
-
-
-def group(data, agents, *, rewards):
-    """Data of a group: a row of ``data`` for each agent, with one reward or one per agent."""
-    grouped = data.select("observation", "action").transpose(0, 1).contiguous()  # [time, agents]
-    own = {key: data["next", key].transpose(0, 1).contiguous() for key in ("reward", "done")}
-    after = {"agents": own} if rewards > 1 else {k: v[:, 0] for k, v in own.items()}
-    return TensorDict({"agents": grouped.to_dict(), "next": after}, [data.shape[1]])
-
-
-def group_actor(agents, share=False):
-    torch.manual_seed(1)
-    net = MultiAgentMLP(
-        4, 3, agents, centralized=False, share_params=share, depth=1, num_cells=8
-    )  # vmaps over the agents' parameters
-    key = ("agents", "logits")
-    module = TensorDictModule(net, [("agents", "observation")], [key])
-    return module, categorical(module, key)
-
-
-def group_log_probs(module, data):
-    logits = module(data.copy())["agents", "logits"].log_softmax(-1)
-    return logits.gather(-1, data["agents", "action"].unsqueeze(-1)).squeeze(-1)
-
-
-@pytest.mark.parametrize("padded", [False, True])
-def test_every_agent_has_its_own_returns(padded):
-    module, actor = group_actor(2)
-    data = group(frames(2, 7), 2, rewards=2)
-    loss = plain_loss(actor)
-    loss.set_keys(action=("agents", "action"), reward=("agents", "reward"), done=("agents", "done"))
-    kept = data[:5] if padded else data
-    reward, done = (kept["next", "agents", key].squeeze(-1).T for key in ("reward", "done"))
-    losses = by_loop(group_log_probs(module, kept).T, reward, done)
-    rows = data[None].clone()
-    if padded:
-        rows["collector", "mask"] = torch.arange(7)[None] < 5
-    for given in (rows, *(() if padded else (data,))):
-        out = loss(given)
-        torch.testing.assert_close(out["loss_actor"], losses.sum())
-        assert out["trial_loss"].shape == (1,)
-    advantage = loss.advantage(rows)
-    assert advantage.shape == (1, 7, 2)
-    single = plain_loss(categorical(network())).advantage(frames(2, 7)[:, : len(kept)])
-    if not padded:
-        torch.testing.assert_close(advantage[0].T, single)
-
-
-def test_one_reward_belongs_to_the_joint_action():
-    module, actor = group_actor(3)
-    data = group(frames(3, 7), 3, rewards=1)
-    loss = plain_loss(actor)
-    loss.set_keys(action=("agents", "action"))
-    joint = group_log_probs(module, data).sum(-1)
-    losses = by_loop(joint[None], data["next", "reward"].T, data["next", "done"].T)
-    torch.testing.assert_close(loss(data)["loss_actor"], losses.sum())
-
-
-def test_weights_of_agents_are_their_own_and_those_of_a_team_are_joint():
-    module, actor = group_actor(2)
-    own, team = group(frames(2, 7), 2, rewards=2), group(frames(2, 7), 2, rewards=1)
-    log_pi = group_log_probs(module, own).detach()
-    log_mu = log_pi - torch.linspace(-0.5, 0.5, 14).reshape(7, 2)
-    for data, rewards in ((own, 2), (team, 1)):
-        data["agents", "action_log_prob"] = log_mu
-        loss = plain_loss(actor, gamma=0.0, correction=PerStep())
-        loss.set_keys(
-            action=("agents", "action"), sample_log_prob=("agents", "action_log_prob"),
-            reward=("agents", "reward") if rewards == 2 else "reward",
-        )  # fmt: skip
-        if rewards == 2:
-            loss.set_keys(done=("agents", "done"))
-            ratio, reward = (log_pi - log_mu).exp(), data["next", "agents", "reward"].squeeze(-1)
-        else:
-            ratio = (log_pi - log_mu).sum(-1).exp()
-            reward = data["next", "reward"].squeeze(-1)
-        torch.testing.assert_close(loss.advantage(data), ratio * reward)
-
-
-def test_baselines_of_agents_are_their_own():
-    _, actor = group_actor(2)
-    data = group(frames(2, 6), 2, rewards=2)
-    done = torch.zeros(6, 1, dtype=torch.bool)
-    done[2] = done[5] = True  # two episodes of three frames; both agents end together
-    data["next", "done"] = done
-    reward = data["next", "agents", "reward"].squeeze(-1)
-    loss = plain_loss(actor, gamma=0.0, baseline=LeaveOneOut())
-    loss.set_keys(action=("agents", "action"), reward=("agents", "reward"))
-    torch.testing.assert_close(loss.advantage(data), reward - reward.roll(3, 0))
-    loss = plain_loss(actor, gamma=0.0, normalize_advantage=True)
-    loss.set_keys(action=("agents", "action"), reward=("agents", "reward"))
-    scaled = (reward - reward.mean(0)) / reward.std(0, correction=0)
-    torch.testing.assert_close(loss.advantage(data), scaled)
-    critic = LinearValue(observation_key=("agents", "observation"))
-    critic.weight, critic.bias = nn.Parameter(torch.randn(2, 1, 4)), nn.Parameter(torch.ones(2, 1))
-    loss = plain_loss(actor, gamma=0.0, baseline=critic)
-    loss.set_keys(action=("agents", "action"), reward=("agents", "reward"))
-    value = (data["agents", "observation"] * critic.weight[:, 0]).sum(-1) + 1
-    torch.testing.assert_close(loss.advantage(data), (reward - value).detach())
-    squares = ((reward - value) ** 2).mean(0).sum()
-    torch.testing.assert_close(loss(data)["loss_value"], squares)
-
-
 # Functional use
 
 
@@ -517,65 +268,3 @@ def test_a_critic_of_torchrls_environments(copies, rows):
     loss = plain_loss(categorical(network()), baseline=critic)
     returns = plain_loss(categorical(network())).advantage(data)
     torch.testing.assert_close(loss.advantage(data), returns - data["observation"].sum(-1) / 2)
-
-
-# What is refused, in one line
-
-
-def wrong(**entries):
-    data = frames(3, 5)
-    for name, value in entries.items():
-        data[tuple(name.split("__"))] = value
-    return data
-
-
-@pytest.mark.parametrize(
-    ("options", "data", "message"),
-    [
-        ({}, wrong(next__reward=torch.ones(3, 5, 2)), r"'reward' is \[3, 5, 2\].*\[3, 5\]"),
-        ({}, wrong(next__done=torch.ones(3, 5, 2)), r"'done' is \[3, 5, 2\].*\[3, 5\]"),
-        ({}, wrong(trial=torch.zeros(3, 5)), "'trial' must hold integers, got torch.float32"),
-        ({}, wrong(trial=torch.zeros(3, 5, 4).long()), r"'trial' is \[3, 5, 4\]"),
-        ({}, wrong(action=torch.zeros(3, 5, 4).long()), r"actions are \[15, 4\].*\[15\]"),
-        ({"trials": 2}, wrong(), "trials is 2, but the data have 3 rows"),
-        ({"baseline": LinearValue()}, wrong(), r"bind\(env\)"),
-        ({"correction": PerStep()}, wrong(), "'action_log_prob'; the data have"),
-        ({"correction": PerStep()}, wrong(action_log_prob=torch.zeros(3, 5, 2)), None),
-    ],
-)
-def test_what_does_not_fit(options, data, message):
-    for actor in (categorical(network()), SoftmaxActor(network())):
-        if message is None:  # one log-probability for each part of a joint action
-            plain_loss(actor, **options)(data)
-            continue
-        with pytest.raises((ValueError, KeyError, RuntimeError), match=message) as error:
-            plain_loss(actor, **options)(data)
-        assert "\n" not in str(error.value)
-
-
-def test_masks_that_do_not_fit():
-    actor, data = SoftmaxActor(network()), frames(3, 5)
-    data["action_mask"] = torch.ones(3, 5, 2, dtype=torch.bool)
-    with pytest.raises(ValueError, match=r"mask is \[15, 2\], but the logits are \[15, 3\]"):
-        plain_loss(actor)(data)
-    data["action_mask"] = torch.zeros(3, 5, 3, dtype=torch.bool)
-    with pytest.raises(ValueError, match="no action of finite logit"):
-        plain_loss(actor)(data)
-
-
-def test_parts_of_another_kind():
-    module = network()
-    with pytest.raises(ValueError, match=r"ProbabilisticActor, got TensorDictModule"):
-        ReinforceLoss(module)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match=r"correction must be .*PerStep\(\), got 'per_step'"):
-        ReinforceLoss(categorical(module), correction="per_step")  # pyright: ignore
-    net = nn.Sequential(nn.Linear(4, 4), NormalParamExtractor())
-    squashed = ProbabilisticActor(
-        TensorDictModule(net, ["observation"], ["loc", "scale"]),
-        in_keys=["loc", "scale"], distribution_class=TanhNormal,
-    )  # fmt: skip
-    data = frames(6)
-    data["action"] = torch.rand(6, 2) - 0.5
-    assert plain_loss(squashed)(data)["loss_actor"].isfinite()
-    with pytest.raises(ValueError, match="entropy_coeff must be 0: TanhNormal"):
-        plain_loss(squashed, entropy_coeff=0.1)(data)

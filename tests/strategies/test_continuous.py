@@ -3,12 +3,11 @@
 import copy
 import inspect
 import io
+from itertools import product
 
 import numpy as np
 import pytest
 import torch
-from hydra.utils import instantiate
-from omegaconf import OmegaConf
 from scipy import stats
 from tensordict import TensorDict
 from tensordict.nn import (
@@ -20,11 +19,22 @@ from tensordict.nn import (
 from torchrl.collectors import Collector
 from torchrl.data import Bounded, Categorical, Composite, MultiCategorical, OneHot, Unbounded
 from torchrl.envs.libs.gym import GymEnv
-from torchrl.envs.utils import ExplorationType, set_exploration_type
-from torchrl.modules import TanhNormal
+from torchrl.envs.utils import set_exploration_type
 
-from trl_explore.config import CONF
-from trl_explore.config.checking import options
+from tests.strategies.continuous import (
+    BOX,
+    BOXED,
+    FILES,
+    HIGH,
+    LOC,
+    LOW,
+    MODES,
+    SCALE,
+    build,
+    everyone,
+    frames,
+    noise_of,
+)
 from trl_explore.strategies import (
     ContinuousStrategy,
     EpsilonMean,
@@ -34,169 +44,13 @@ from trl_explore.strategies import (
     Softmax,
     UniformAction,
 )
-from trl_explore.strategies.schedules import Exponential
 from trl_explore.training.evaluation import acting
-
-FILES = {
-    name: OmegaConf.load(CONF / "strategy" / f"{name}.yaml")
-    for name in options("strategy", "continuous")
-}
-MODES = [ExplorationType.MODE, ExplorationType.MEAN, ExplorationType.DETERMINISTIC]
-LOW, HIGH = torch.tensor([-1.0, 0.5]), torch.tensor([3.0, 0.75])
-BOX = Bounded(LOW, HIGH)
-LOC, SCALE = torch.tensor([0.3, 0.9]), torch.tensor([0.5, 2.0])
-BOXED = ["epsilon_mean", "epsilon_uniform", "uniform_action"]
-
-everyone = pytest.mark.parametrize("name", FILES)
-
-
-def build(name, *, spec=BOX, iteration=0, **options) -> ContinuousStrategy:
-    whole = {"spec": spec, "noise_key": "noise", **options}
-    strategy = instantiate(FILES[name], _partial_=True, _convert_="all")(**whole)
-    for _ in range(iteration):
-        strategy.step()
-    return strategy
-
-
-def frames(n, **entries):
-    return TensorDict({"loc": LOC.expand(n, 2), "scale": SCALE.expand(n, 2), **entries}, [n])
-
-
-def noise_of(n, dims=2, seed=0):
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(n, dims + 1, generator=generator, dtype=torch.float64)
-
-
-def density(name, action):
-    """log mu(a) of the files' strategies at LOC and SCALE, by scipy; [n]."""
-    action = np.asarray(action, dtype=np.float64)
-    normal = stats.norm.pdf(action, LOC.double(), SCALE.double()).prod(-1)
-    uniform = stats.uniform.pdf(action, LOW.double(), (HIGH - LOW).double()).prod(-1)
-    mixed = {
-        "gaussian": normal,
-        "uniform_action": uniform,
-        "epsilon_uniform": 0.7 * normal + 0.3 * uniform,
-    }
-    return np.log(mixed[name])
-
-
-# The distribution
 
 
 def test_the_files_are_known():
     assert {"epsilon_mean", "epsilon_uniform", "gaussian", "mean_action", "uniform_action"} <= set(
         FILES
     )
-
-
-@pytest.mark.parametrize("name", ["gaussian", "uniform_action", "epsilon_uniform"])
-def test_log_prob_is_the_density_of_scipy(name):
-    data = build(name)(frames(2000))
-    assert data["action_log_prob"].shape == (2000,)
-    expected = density(name, data["action"])
-    np.testing.assert_allclose(data["action_log_prob"], expected, rtol=1e-5, atol=1e-5)
-
-
-def test_density_outside_of_the_box():
-    outside = torch.tensor([[5.0, 0.6], [0.0, 0.4], [-1.0, 0.5]])  # the last is a corner: inside
-    loc, scale = LOC.expand(3, 2), SCALE.expand(3, 2)
-    mixed = build("epsilon_uniform").log_prob(outside, loc, scale)
-    np.testing.assert_allclose(mixed, density("epsilon_uniform", outside), rtol=1e-5)
-    uniform = build("uniform_action").log_prob(outside, loc, scale)
-    assert uniform.tolist()[:2] == [-np.inf, -np.inf]
-    assert uniform[2].item() == pytest.approx(-np.log(4 * 0.25), abs=1e-6)
-
-
-@pytest.mark.parametrize("name", ["gaussian", "uniform_action", "epsilon_uniform"])
-def test_the_density_integrates_to_one(name):
-    x = torch.linspace(-6, 8, 2801, dtype=torch.float64) + 1e-4
-    one = Bounded(-1.0, 3.0, shape=(1,))
-    loc, scale = torch.full((2801, 1), 0.3).double(), torch.full((2801, 1), 0.7).double()
-    log_prob = build(name, spec=one).log_prob(x.unsqueeze(-1), loc, scale)
-    assert float(log_prob.exp().sum() * 14 / 2800) == pytest.approx(1, abs=1e-3)
-
-
-@pytest.fixture(autouse=True)
-def seeded():
-    """A test of a distribution must not fail by chance in one of a hundred runs."""
-    torch.manual_seed(0)
-
-
-@pytest.mark.parametrize("temperature", [0.5, 1.0, 3.0])
-def test_temperature_multiplies_the_scale(temperature):
-    data = Gaussian(temperature)(frames(4000))
-    for j in range(2):
-        normal = stats.norm(LOC[j].item(), temperature * SCALE[j].item())
-        assert stats.kstest(data["action"][:, j].numpy(), normal.cdf).pvalue > 1e-3
-    wide = temperature * SCALE.double()
-    expected = stats.norm.logpdf(data["action"].double(), LOC.double(), wide).sum(-1)
-    np.testing.assert_allclose(data["action_log_prob"], expected, rtol=1e-4, atol=1e-5)
-
-
-def test_temperature_of_a_schedule_that_falls_to_zero():
-    strategy = Gaussian(Exponential(1.0, 0.1), spec=BOX)
-    for _ in range(400):
-        strategy.step()
-    data = strategy(frames(50))
-    torch.testing.assert_close(data["action"], LOC.expand(50, 2), atol=1e-4, rtol=0)
-    assert data["action_log_prob"].isfinite().all()
-
-
-def test_uniform_fills_the_box():
-    action = UniformAction(spec=BOX)(frames(5000))["action"]
-    for j in range(2):
-        uniform = stats.uniform(LOW[j].item(), (HIGH - LOW)[j].item())
-        assert stats.kstest(action[:, j].numpy(), uniform.cdf).pvalue > 1e-3
-    assert abs(stats.pearsonr(*action.numpy().T).statistic) < 0.05
-
-
-def test_epsilon_is_the_share_of_uniform_frames():
-    # 0.0 is the mean; a uniform draw hits it with probability 0.
-    mean = EpsilonMean(0.3, spec=BOX)(frames(10_000))["action"]
-    explored = int((mean != LOC).all(-1).sum())
-    assert int((mean == LOC).all(-1).sum()) == 10_000 - explored
-    assert stats.binomtest(explored, 10_000, 0.3).pvalue > 1e-3
-    drawn = mean[(mean != LOC).all(-1), 0].numpy()
-    assert stats.kstest(drawn, stats.uniform(-1, 4).cdf).pvalue > 1e-3
-
-
-def test_epsilon_uniform_is_distributed_as_its_mixture():
-    action = EpsilonUniform(0.3, spec=BOX)(frames(5000))["action"]
-    for j in range(2):
-        normal = stats.norm(LOC[j].item(), SCALE[j].item())
-        uniform = stats.uniform(LOW[j].item(), (HIGH - LOW)[j].item())
-
-        def cdf(x, normal=normal, uniform=uniform):
-            return 0.7 * normal.cdf(x) + 0.3 * uniform.cdf(x)
-
-        assert stats.kstest(action[:, j].numpy(), cdf).pvalue > 1e-3
-
-
-def test_mean_action_is_the_mean():
-    data = MeanAction()(frames(5))
-    assert torch.equal(data["action"], LOC.expand(5, 2))
-
-
-@pytest.mark.parametrize("cls", [MeanAction, EpsilonMean])
-def test_without_a_density_none_is_written(cls):
-    strategy = cls(spec=BOX)
-    assert not strategy.exact
-    assert strategy.out_keys == ["action"]
-    assert "action_log_prob" not in strategy(frames(5))
-    with pytest.raises(ValueError, match=f"{cls.__name__}.*density"):
-        strategy.log_prob(LOC, LOC, SCALE)
-
-
-@pytest.mark.parametrize("name", ["gaussian", "uniform_action", "epsilon_uniform"])
-def test_log_prob_is_differentiable_as_it_says(name):
-    strategy = build(name)
-    action = strategy(frames(8))["action"].double()
-    loc, scale = (x.double().expand(8, 2).clone().requires_grad_() for x in (LOC, SCALE))
-    if name == "uniform_action":  # a constant
-        assert strategy.differentiable
-        return
-    assert torch.autograd.gradcheck(lambda *x: strategy.log_prob(action, *x), (loc, scale))
-    assert strategy.differentiable
 
 
 # The draw
@@ -255,21 +109,18 @@ def test_frames_do_not_depend_on_each_other(name):
 
 
 @everyone
-@pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3), (0,)])
-@pytest.mark.parametrize("given", [True, False])
-def test_batch_shapes(name, batch, given):
-    entries = {"noise": torch.full((*batch, 3), 0.5)} if given else {}
-    data = TensorDict(
-        {"loc": LOC.expand(*batch, 2), "scale": SCALE.expand(*batch, 2), **entries}, batch
-    )
+def test_batch_shapes(name):
     strategy = build(name)
     assert strategy.noise_size == 3
-    strategy(data)
-    assert data["action"].shape == (*batch, 2)
-    assert data["action"].dtype == torch.float32
-    if strategy.exact:
-        assert data["action_log_prob"].shape == batch
-        assert data["action_log_prob"].dtype == torch.float32
+    for batch, given in product([(), (1,), (5,), (2, 3), (0,)], (True, False)):
+        entries = {"noise": torch.full((*batch, 3), 0.5)} if given else {}
+        pi = {"loc": LOC.expand(*batch, 2), "scale": SCALE.expand(*batch, 2)}
+        data = strategy(TensorDict({**pi, **entries}, batch))
+        assert data["action"].shape == (*batch, 2)
+        assert data["action"].dtype == torch.float32
+        if strategy.exact:
+            assert data["action_log_prob"].shape == batch
+            assert data["action_log_prob"].dtype == torch.float32
 
 
 @everyone
@@ -385,27 +236,6 @@ def test_the_agents_of_a_group_have_their_own_boxes():
 def test_a_deterministic_actor_has_no_scale(cls):
     data = cls(spec=BOX, loc_key="action")(TensorDict({"action": LOC.expand(50, 2)}, [50]))
     assert data["action"].shape == (50, 2)
-
-
-@pytest.mark.parametrize(("epsilon", "temperature"), [(None, 1.0), (None, 0.5), (0.3, 1.0)])
-def test_a_squashed_policy_is_torchrls_tanh_normal(epsilon, temperature):
-    torch.manual_seed(0)
-    loc, scale = LOC.expand(5000, 2), SCALE.expand(5000, 2)
-    given = {"spec": BOX, "squashed": True}
-    strategy = Gaussian(temperature, **given) if epsilon is None else EpsilonUniform(0.3, **given)
-    data = strategy(frames(5000))
-    assert BOX.expand(5000, 2).is_in(data["action"])
-    pi = TanhNormal(loc, temperature * scale, low=LOW, high=HIGH)
-    inner = (data["action"] > LOW + 1e-3).all(-1) & (data["action"] < HIGH - 1e-3).all(-1)
-    density = pi.log_prob(data["action"]).exp()
-    if epsilon is not None:
-        density = 0.7 * density + 0.3 / (HIGH - LOW).prod()
-    found = data["action_log_prob"].exp()
-    torch.testing.assert_close(found[inner], density[inner], rtol=1e-2, atol=1e-5)
-    if epsilon is None:
-        for j in range(2):
-            theirs = pi.sample()[:, j].numpy()
-            assert stats.ks_2samp(data["action"][:, j].numpy(), theirs).pvalue > 1e-3
 
 
 # State and parameters

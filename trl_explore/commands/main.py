@@ -24,6 +24,7 @@ COMMANDS = {
     "status": "show which jobs are done, running, failed or left",
     "time": "time single trials of finished jobs",
     "verify": "run finished jobs again and compare the results",
+    "thesis": "run the thesis's experiments, time single trials, and write the report",
 }
 LABORATORY = {
     "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas", "rich",
@@ -57,7 +58,7 @@ def main(words: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    if name in ("train", "settle", "tune"):
+    if name in ("train", "settle", "tune", "thesis"):
         signals.leave_on_signals()
     sys.argv = [f"trl-explore {name}", *arguments]
     try:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from copy import deepcopy
+from functools import lru_cache, partial
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any, cast
 
@@ -14,7 +16,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from trl_explore.checks import check_number
 from trl_explore.config.checking import check_actions, check_values, describe
-from trl_explore.config.files import ConfigError
+from trl_explore.config.files import ConfigError, load
 from trl_explore.config.importing import import_torchrl
 
 if TYPE_CHECKING:
@@ -242,7 +244,12 @@ def _evaluator(
     if config.evaluate_every == "auto":
         try:
             compilable(env, both)
-        except NotCompilableError:
+        except NotCompilableError as error:
+            if (episodes := config.evaluate_episodes) != load("train").evaluate_episodes:
+                raise ConfigError(
+                    f"evaluate_episodes={episodes} needs evaluations, but evaluate_every=auto has"
+                    f" none without a compiled kernel ({error}); give an integer >= 1"
+                ) from None
             return None
     greedy = config.evaluate_policy == "greedy"
     collector = auto_collector(
@@ -276,13 +283,23 @@ def _instantiate(config: DictConfig, group: str) -> Callable[..., Any]:
     """The constructor that a group's configuration describes."""
 
     def construct(*args: Any, **kwargs: Any) -> Any:
-        def call() -> Any:
-            built = instantiate(config[group], _convert_="all", _partial_=True)
-            return built(*args, **kwargs)
-
-        return _build(group, call)
+        return _build(group, lambda: _constructor(config[group])(*args, **kwargs))
 
     return construct
+
+
+def _constructor(node: DictConfig) -> Callable[..., Any]:
+    """``node`` with its own arguments; every agent gets objects of its own in them."""
+    plain = OmegaConf.to_container(node, resolve=True)
+    if "_target_" in str(list(cast(dict[str, Any], plain).values())):
+        return instantiate(node, _convert_="all", _partial_=True)
+    return deepcopy(_plain_constructor(json.dumps(plain)))
+
+
+@lru_cache(maxsize=64)
+def _plain_constructor(text: str) -> Callable[..., Any]:
+    """The constructor of a configuration that holds no other; Hydra takes milliseconds for it."""
+    return instantiate(json.loads(text), _convert_="all", _partial_=True)
 
 
 def _build(group: str | None, call: Callable[[], Any]) -> Any:

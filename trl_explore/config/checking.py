@@ -145,8 +145,6 @@ def check_values(config: DictConfig) -> None:
             "keep_weights must be a list of iterations, such as [0,10,50], "
             f"got {config.keep_weights!r}"
         )
-    if config.stop_on == "evaluation":
-        raise ConfigError("stop_on=evaluation is now stop_on=learned")
 
 
 def check_actions(config: DictConfig, kind: str) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -133,10 +133,16 @@ class RecordedJob:
 
         Evaluation is off if the training does not depend on it.
         """
-        config, row = self.config.copy(), trial - self.config.first_trial
+        row = trial - self.config.first_trial
+        return build_trainer(self._alone, slice(row, row + 1))
+
+    @cached_property
+    def _alone(self) -> DictConfig:
+        config = self.config.copy()
         if config.stop_on in ("training", "never"):
             config.evaluate_every, config.evaluate_episodes = 0, 1
-        return build_trainer(config, slice(row, row + 1))
+        OmegaConf.resolve(config)  # once, and not at every access of every trial
+        return config
 
 
 def recompose_all(folders: Iterable[Path], config_dir: Path | None = None) -> list[RecordedJob]:

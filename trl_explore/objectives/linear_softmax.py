@@ -36,11 +36,7 @@ def linear_weight(
 ) -> Tensor | None:
     """W [trials, n_actions, n_features]; None if π in these data is another than softmax(W s).
 
-    Args:
-        actor: a linear softmax.
-        parameters: its parameters, if it does not hold them itself.
-        key: the key of W among them.
-        episodes: the data.
+    ``parameters`` are those of the actor, with W under ``key``; None: the actor holds them.
     """
     masked = cast(SoftmaxActor, actor).action_mask_key in episodes.tensordict
     if masked or episodes.layout.agents > 1:
@@ -59,13 +55,8 @@ def closed_form(
 ) -> Tensor | None:
     """S_k = scale · Σ_{t ∈ frames of trial k} A_t log π(a_t|s_t); adds ∂S/∂W to W's gradient.
 
-    Args:
-        weight: W [trials, n_actions, n_features].
-        episodes: the data.
-        action: [frames], as indices or one-hot.
-        scale: a factor of S.
-        baseline: b if A_t = G_t − b; None if A_t is something else.
-        factor: gives A [frames].
+    ``action`` [frames] are indices or one-hot, ``baseline`` is b if A_t = G_t − b, else None, and
+    ``factor()`` gives A [frames].
 
     Returns:
         S [trials]; None if these tensors need autograd.

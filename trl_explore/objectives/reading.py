@@ -44,12 +44,7 @@ def read_episodes(
 ) -> Episodes:
     """The episodes in data of a layout that ``ReinforceLoss`` describes.
 
-    Args:
-        tensordict: the data [*batch].
-        keys: the names of the entries.
-        mask_keys: entries that mark the valid frames; each is optional.
-        trials: the number of trials; None: the largest "trial" in the data plus one.
-        gamma: discount γ.
+    ``mask_keys`` are entries that mark the valid frames, if the data have them.
 
     Raises:
         KeyError: if an entry is missing.

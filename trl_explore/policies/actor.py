@@ -180,10 +180,7 @@ def frame_log_prob(
 ) -> Tensor:
     """Log π(a|s) of every frame, with its gradient.
 
-    Args:
-        actor: the target policy, any ``ProbabilisticActor``.
-        tensordict: flat frames [frames] with the entries that the actor reads.
-        action: [frames, ...]; for a categorical π indices, or one-hot.
+    ``action`` [frames, ...] are indices or one-hot for a categorical π.
 
     Returns:
         [frames, ...]: one number per frame, or several that belong to one action each, such as
@@ -220,10 +217,7 @@ INDEXED = (SoftmaxCategorical, TorchCategorical, MaskedCategorical)
 def fitted(action: Tensor, shape: torch.Size, n_actions: int | None = None) -> Tensor:
     """The actions in a shape, so that [n] and [n, 1] do not broadcast to [n, n].
 
-    Args:
-        action: the actions, one-hot [*shape, n_actions] or of a shape with as many entries.
-        shape: the shape that a distribution expects.
-        n_actions: the number of actions, if they may be one-hot.
+    They are one-hot [*shape, n_actions] if ``n_actions`` is given, or have as many entries.
 
     Example:
         >>> fitted(torch.tensor([[0, 1], [1, 0]]), torch.Size([2]), 2).tolist()

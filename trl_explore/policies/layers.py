@@ -67,7 +67,6 @@ def initial_weights(
     output_gain: float = 1.0,
     seed: int = 0,
     first_trial: int = 0,
-    network: int = 0,
 ) -> list[Tensor]:
     """The weights of a chain of layers; each trial draws from its own stream.
 
@@ -89,8 +88,6 @@ def initial_weights(
         output_gain: factor of the last layer's weights, >= 0; if small, initial outputs are near 0.
         seed: seed of the job.
         first_trial: trial index of row 0.
-        network: the index of the network within the trial, such as 0 for a policy and 1 for a
-            critic; different networks use different random numbers.
 
     Returns:
         [trials, n_out, n_in] float32 for every layer.
@@ -110,7 +107,7 @@ def initial_weights(
     layers = [(n_out, n_in) for n_in, n_out in pairwise(sizes)]
     weights = [np.empty((trials, *layer), dtype=np.float32) for layer in layers]
     for trial in range(trials):
-        draws = generator(seed, Stream.WEIGHTS, first_trial + trial, network)
+        draws = generator(seed, Stream.WEIGHTS, first_trial + trial, 0)
         for weight, layer in zip(weights, layers, strict=True):
             weight[trial] = INITS[init](draws, *layer)
     weights[-1] *= np.float32(output_gain)
@@ -211,7 +208,6 @@ class LaneMLP(nn.Module):
         first_trial: trial index of row 0.
         bias: whether there are biases.
         output_gain: factor of the last layer's initial weights.
-        network: the index of the network within the trial, see ``initial_weights``.
 
     Raises:
         ValueError: if an argument is out of range or unknown.
@@ -233,14 +229,13 @@ class LaneMLP(nn.Module):
         *,
         bias: bool = True,
         output_gain: float = 1.0,
-        network: int = 0,
     ) -> None:
         super().__init__()
         self.activation = check_activation(activation)
         self.sizes = list(sizes)
         if init == "zeros" and len(sizes) > 2:
             raise ValueError("init 'zeros' gives hidden layers no gradient; choose another init")
-        streams = {"seed": seed, "first_trial": first_trial, "network": network}
+        streams = {"seed": seed, "first_trial": first_trial}
         weights = initial_weights(sizes, trials, init, output_gain=output_gain, **streams)
         self.layers = nn.ModuleList(
             LaneLinear(weight, torch.zeros(weight.shape[:2]) if check_flag("bias", bias) else None)

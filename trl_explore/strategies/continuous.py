@@ -110,11 +110,7 @@ class ContinuousStrategy(BaseStrategy):
     ) -> Tensor:
         """Log density log μ(a|s) [*batch] in the current iteration, differentiable.
 
-        Args:
-            action: [*batch, n_dims].
-            loc: [*batch, n_dims].
-            scale: [*batch, n_dims].
-            trial: [*batch] int64, needed only if parameters differ between trials.
+        ``trial`` [*batch] int64 is needed only if parameters differ between trials.
 
         Raises:
             ValueError: if μ has no density.
@@ -135,8 +131,8 @@ class ContinuousStrategy(BaseStrategy):
             action = self.draw(*wide, noise, trial).to(loc.dtype)
             log_prob = self.log_prob(action.double(), *wide, trial) if self.exact else None
         else:
-            action, log_prob = self._squash(loc.double()).to(loc.dtype), loc.new_zeros(())
-            log_prob = log_prob.expand(loc.shape[:-1]).clone()
+            action = self._squash(loc.double()).to(loc.dtype)
+            log_prob = loc.new_zeros(loc.shape[:-1])
         tensordict.set(self.action_key, action)
         if self.exact and log_prob is not None:
             precision = torch.promote_types(loc.dtype, torch.float32)

@@ -37,14 +37,6 @@ class VisitCounts(nn.Module):
 
     Raises:
         ValueError: if ``bits`` is out of range.
-
-    Example:
-        >>> counts, states = VisitCounts(1, one_hot=True), torch.eye(2)
-        >>> trial = torch.zeros(2, dtype=torch.int64)
-        >>> counts.count(states, torch.tensor([1, 1]), trial, n_actions=3)
-        >>> counts(states, trial, n_actions=3)
-        tensor([[0, 1, 0],
-                [0, 1, 0]], dtype=torch.int32)
     """
 
     counts: Tensor

@@ -90,9 +90,7 @@ class Strategy(BaseStrategy):
     def probs(self, logits: Tensor, trial: Tensor | None = None) -> Tensor:
         """μ(·|s) [*batch, n_actions] in the current iteration; 0 for an action of logit −∞.
 
-        Args:
-            logits: [*batch, n_actions].
-            trial: [*batch] int64, needed only if parameters differ between trials.
+        ``trial`` [*batch] int64 is needed only if parameters differ between trials.
         """
         raise NotImplementedError(f"{type(self).__name__} does not define probs")
 
@@ -165,10 +163,7 @@ class Strategy(BaseStrategy):
     ) -> tuple[Tensor, Tensor | None]:
         """The action [*batch] and its log-probability [*batch], None if there is no exact one.
 
-        Args:
-            tensordict: the frames.
-            logits: [*batch, n_actions], masked.
-            noise: [*batch], or [*batch, noise_size].
+        ``logits`` are masked; ``noise`` is [*batch], or [*batch, noise_size].
         """
         logits = self._split(self.preferences(tensordict, logits))
         probs = self.probs(logits, self._trial(tensordict))
@@ -221,9 +216,7 @@ class Strategy(BaseStrategy):
     def log_prob(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
         """Log μ(a|s) [*batch] in the current iteration.
 
-        Args:
-            tensordict: the frames, with what the strategy reads.
-            action: a, in the form that the strategy writes; without a spec also one-hot.
+        The action is in the form that the strategy writes; without a spec also one-hot.
         """
         probs, index = self.probs_of(tensordict), self.index(action)
         if self.spec is None and index.shape == probs.shape:
@@ -285,10 +278,6 @@ def inverse_cdf(probs: Tensor, noise: Tensor) -> Tensor:
 
     Sums are in float64. Rounding never selects an action of probability 0: u is kept so far below 1
     that u times the computed sum is below the sum.
-
-    Args:
-        probs: [*batch, n_actions], non-negative.
-        noise: [*batch], uniform in [0, 1).
 
     Example:
         >>> inverse_cdf(torch.tensor([0.25, 0.0, 0.75]), torch.tensor(0.25))

@@ -79,9 +79,7 @@ class FirstFrames:
         is_init = tensordict.get(self.is_init_key, None)
         step_count = tensordict.get("step_count", None)
         ids = tensordict.get(("collector", "traj_ids"), None)
-        marks: list[Tensor] = []
-        if is_init is not None:
-            marks.append(is_init.bool())
+        marks: list[Tensor] = [] if is_init is None else [is_init.bool()]
         if step_count is not None:
             marks.append(step_count == 0)
         if ids is not None:

@@ -119,9 +119,6 @@ class MixtureStrategy(MixtureFamily, Strategy):
         """The parameters with which the policy's logits equal the strategy's ``preferences``.
 
         A strategy that overrides ``preferences`` is compilable only if it overrides this too.
-
-        Args:
-            parameters: parameters of the target policy given to ``bind``.
         """
         return list(parameters)
 

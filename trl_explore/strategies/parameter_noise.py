@@ -119,7 +119,8 @@ class ParameterNoise(MixtureStrategy):
             trial = self._first_trial + k
             stream = generator(self._seed, Stream.STRATEGY, trial, int(episodes[k]))
             self._noise_of[k] = stream.standard_normal(size)
-        noise = torch.from_numpy(self._noise_of * self._sigma()[:, None])
+        sigma = (self.scale * self.sigma).numpy(force=True)  # [trials]
+        noise = torch.from_numpy(self._noise_of * sigma[:, None])
         if not self._center:
             self._center = {name: p.clone() for name, p in own.items()}
         rows, start = torch.from_numpy(active), 0
@@ -138,10 +139,6 @@ class ParameterNoise(MixtureStrategy):
         if not self._policy:
             raise ValueError("parameter noise has no policy: call bind(policy, trials) first")
         return {name: p.detach() for name, p in self._policy[0].named_parameters()}
-
-    def _sigma(self) -> NDArray[np.float64]:
-        """σ of each trial in the current iteration [trials]."""
-        return (self.scale * self.sigma).numpy(force=True)
 
     def preferences(self, tensordict: TensorDictBase, logits: Tensor) -> Tensor:
         """The logits of the perturbed policy."""
@@ -218,9 +215,7 @@ class ParameterNoise(MixtureStrategy):
         own, other = (
             self._masked(data, self._logits(p, data)) for p in (self._center, self._perturbed)
         )
-        trial = self._trial(data)
-        if trial is None:
-            trial = torch.zeros(len(data), dtype=torch.int64)
+        trial = self._trials_of(data)
         frames = torch.bincount(trial, minlength=trials)
         total = lane_sum(self._divergence(own, other), trial, trials)
         return (total / frames.clamp(min=1)).numpy(), frames.numpy()
@@ -231,12 +226,14 @@ class ParameterNoise(MixtureStrategy):
         terms = torch.where(own == -torch.inf, 0.0, own.exp() * (own - other)).sum(-1)
         return terms.sum(-1) if self.joint else terms
 
+    def _trials_of(self, data: TensorDictBase) -> Tensor:
+        trial = self._trial(data)
+        return torch.zeros(len(data), dtype=torch.int64) if trial is None else trial
+
     def _last_episodes(self, data: TensorDictBase) -> TensorDictBase:
         """The frames of every trial's last episode, flat [frames]."""
         data = data.reshape(-1)
-        trial = self._trial(data)
-        if trial is None:
-            trial = torch.zeros(len(data), dtype=torch.int64)
+        trial = self._trials_of(data)
         done = data.get(("next", "done")).reshape(-1)
         ended = done.cumsum(0) - done.long()  # episodes that ended before the frame
         last = ended.new_zeros(int(trial.max()) + 1).scatter_reduce(0, trial, ended, "amax")

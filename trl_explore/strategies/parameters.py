@@ -61,12 +61,8 @@ class Parametrised(TensorDictModuleBase):
     ) -> None:
         """Make a parameter follow a schedule: ``self.NAME`` is its value in the present iteration.
 
-        Args:
-            name: the name of the buffer: [], or [trials] if it differs between trials; float64.
-            value: the parameter.
-            low: the smallest value that is allowed.
-            high: the largest value that is allowed.
-            low_open: whether ``low`` itself is not allowed.
+        The buffer is float64, [], or [trials] if the parameter differs between trials. It must stay
+        in [low, high], or in (low, high] with ``low_open``.
 
         Raises:
             ValueError: if the parameter leaves the bounds.

@@ -1,6 +1,6 @@
 """Off-policy corrections: policy gradients from data collected with μ."""
 
-from trl_explore.objectives.corrections.behaviour import Behaviour, BehaviourActor
+from trl_explore.objectives.corrections.behaviour import Behaviour
 from trl_explore.objectives.corrections.correction import (
     ImportanceWeights,
     NoCorrection,
@@ -14,7 +14,6 @@ Correction = NoCorrection
 __all__ = [
     "AsIf",
     "Behaviour",
-    "BehaviourActor",
     "Correction",
     "ImportanceWeights",
     "NoCorrection",

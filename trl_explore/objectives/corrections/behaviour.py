@@ -46,29 +46,19 @@ class Behaviour(NoCorrection):
         if strategy.is_target():
             return actor
         if isinstance(strategy, ContinuousStrategy):
-            return ContinuousBehaviourActor(actor, strategy)
-        assert isinstance(strategy, Strategy)
-        return BehaviourActor(actor, strategy)
+            return _continuous(actor, strategy)
+        return _discrete(actor, cast(Strategy, strategy))
 
 
-class BehaviourActor(ProbabilisticActor):
-    """μ(·|s) as a distribution whose parameters are those of the target policy.
-
-    Args:
-        actor: the target policy, whose modules write the logits that the strategy reads.
-        strategy: gives μ for the logits; shared with the collector, so both are in the same
-            iteration of their schedules.
-    """
-
-    def __init__(self, actor: ProbabilisticActor, strategy: Strategy) -> None:
-        networks: Any = [*actor.module[:-1], _Probs(strategy)]
-        options = {"strategy": strategy} if strategy.joint else {"validate_args": False}
-        super().__init__(
-            cast(Any, TensorDictSequential(*networks)),
-            in_keys=["probs"],
-            distribution_class=_Heads if strategy.joint else Categorical,
-            distribution_kwargs=options,
-        )
+def _discrete(actor: ProbabilisticActor, strategy: Strategy) -> ProbabilisticActor:
+    """μ(·|s) over n actions as a distribution with the parameters of the target policy."""
+    networks: Any = [*actor.module[:-1], _Probs(strategy)]
+    return ProbabilisticActor(
+        cast(Any, TensorDictSequential(*networks)),
+        in_keys=["probs"],
+        distribution_class=_Heads if strategy.joint else Categorical,
+        distribution_kwargs={"strategy": strategy} if strategy.joint else {"validate_args": False},
+    )
 
 
 class _Heads(Independent):
@@ -82,27 +72,20 @@ class _Heads(Independent):
         return super().log_prob(self.index(value))
 
 
-class ContinuousBehaviourActor(ProbabilisticActor):
-    """The density of μ(·|s) over continuous actions, with the parameters of the target policy.
-
-    Args:
-        actor: the target policy, whose modules write the loc and scale that the strategy reads.
-        strategy: gives log μ for them; shared with the collector.
-    """
-
-    def __init__(self, actor: ProbabilisticActor, strategy: ContinuousStrategy) -> None:
-        networks: Any = actor.module[:-1]
-        keys: Any = {
-            "loc": strategy.loc_key,
-            "scale": strategy.scale_key,
-            "trial": strategy.trial_key,
-        }
-        super().__init__(
-            cast(Any, TensorDictSequential(*networks)),
-            in_keys=keys,
-            distribution_class=_Density,
-            distribution_kwargs={"strategy": strategy},
-        )
+def _continuous(actor: ProbabilisticActor, strategy: ContinuousStrategy) -> ProbabilisticActor:
+    """The density of μ(·|s) over continuous actions, with the parameters of the target policy."""
+    networks: Any = actor.module[:-1]
+    keys: Any = {
+        "loc": strategy.loc_key,
+        "scale": strategy.scale_key,
+        "trial": strategy.trial_key,
+    }
+    return ProbabilisticActor(
+        cast(Any, TensorDictSequential(*networks)),
+        in_keys=keys,
+        distribution_class=_Density,
+        distribution_kwargs={"strategy": strategy},
+    )
 
 
 class _Density(Distribution):

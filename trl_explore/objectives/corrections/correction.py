@@ -46,10 +46,6 @@ class NoCorrection:
     ) -> ProbabilisticActor:
         """The distribution whose score function the loss uses: π, or its replacement.
 
-        Args:
-            actor: π.
-            strategy: the strategy that collects the data.
-
         Raises:
             ValueError: if the correction does not support this strategy.
         """
@@ -59,23 +55,13 @@ class NoCorrection:
         """Keep only some of the trials in per-trial parameters; the arguments are a strategy's."""
 
     def on_policy(self, strategy: BaseStrategy) -> bool | NDArray[np.bool_]:
-        """Whether every ratio is 1 by construction in this iteration; one value, or one per trial.
-
-        Args:
-            strategy: the strategy that collects the data.
-        """
+        """Whether every ratio is now 1 by construction; one value, or one per trial."""
         return strategy.on_policy()
 
     def log_numerator(
         self, actor: ProbabilisticTensorDictSequential, frames: TensorDictBase, action: Tensor
     ) -> Tensor:
-        """The logarithm of the numerator of the ratios: log π(a_t|s_t) [frames].
-
-        Args:
-            actor: π, with the present parameters.
-            frames: the data [frames].
-            action: a_t [frames, ...].
-        """
+        """The logarithm of the numerator of the ratios: log π(a_t|s_t) [frames]."""
         return frame_log_prob(actor, frames, action)
 
     def advantage(
@@ -83,11 +69,8 @@ class NoCorrection:
     ) -> Tensor:
         """The factor of ∇log π(a_t|s_t) [frames].
 
-        Args:
-            episodes: the data.
-            baseline: b_t [frames], or one number.
-            log_ratio: log π(a_t|s_t) − log μ(a_t|s_t) [frames], or with another numerator; None
-                if not needed.
+        ``baseline`` is b_t [frames] or one number. ``log_ratio`` is log π(a_t|s_t) − log μ(a_t|s_t)
+        [frames], or with another numerator; None if not needed.
         """
         if isinstance(baseline, float) and baseline == 0:
             return episodes.returns
@@ -155,11 +138,6 @@ def shares(log_weight: Tensor, group: Tensor, groups: int) -> Tensor:
 
     Weights of long episodes underflow, but their quotients do not, so only quotients are computed.
     If all weights of a group are 0, the quotients are 0.
-
-    Args:
-        log_weight: log w [n].
-        group: [n] int64 in [0, groups).
-        groups: the number of groups.
 
     Example:
         >>> shares(torch.tensor([-3000.0, -3000.0]), torch.tensor([0, 0]), 1)

@@ -1,0 +1,10 @@
+import pytest
+
+from trl_explore.envs import make_env
+
+
+@pytest.fixture(scope="module")
+def env():
+    env = make_env("CartPole-v1", trials=30)
+    yield env
+    env.close()
