@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from trl_explore.jobs.reading import read_job
-from trl_explore.report import style
+from trl_explore.report import formats
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.training.quantities import DIAGNOSTIC_COLUMNS
 
@@ -114,7 +114,7 @@ def _only_svg(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     """Figures as PNG and PDF take most of the time of a report; ``made`` and a marker draw them."""
     if request.node.get_closest_marker("every_format") is None:
         for name in ("to_png", "to_pdf"):
-            monkeypatch.setattr(style, name, lambda figure: b"")
+            monkeypatch.setattr(formats, name, lambda figure: b"")
 
 
 @pytest.fixture(scope="session")

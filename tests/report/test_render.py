@@ -1,6 +1,7 @@
 from matplotlib.figure import Figure
 
-from trl_explore.report.style import to_png, to_svg, visual_language
+from trl_explore.report.formats import to_png, to_svg
+from trl_explore.report.style import visual_language
 
 
 def figure(text: str = "a") -> Figure:

@@ -10,8 +10,8 @@ import pytest
 from trl_explore.report import verdicts
 from trl_explore.report.build import build_report
 from trl_explore.report.evidence import gather
+from trl_explore.report.formats import FIXED, inline_svg, theme_css
 from trl_explore.report.loading import load
-from trl_explore.report.style import FIXED, inline_svg, theme_css
 
 
 @pytest.fixture(scope="module")

@@ -28,6 +28,17 @@ from trl_explore.statistics.power import fewest_pairs, trials_text, trials_to_se
 from trl_explore.statistics.summary import Summary
 
 
+def group_tables(part: GroupEvidence) -> list[Table]:
+    """The tables of a group: configurations, pairs, and the pairs of each further question."""
+    tables = [summary_table(part), comparison_table(part)]
+    tables += [
+        comparison_table(part, answered=answered)
+        for answered in part.answered
+        if answered.comparisons != part.comparisons
+    ]
+    return tables + ([comparison_table(part.learned, learned=True)] if part.learned else [])
+
+
 def summary_table(evidence: GroupEvidence) -> Table:
     """One row per configuration."""
     group, learned = evidence.group, evidence.learned

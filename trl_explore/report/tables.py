@@ -162,6 +162,11 @@ def capital(text: str) -> str:
     return text[:1].upper() + text[1:] if text[:1].isascii() else text
 
 
+def uncapital(sentence: str) -> str:
+    """A sentence as it continues another; a symbol (T = 1) keeps its capital."""
+    return sentence if sentence[1:2] == " " else sentence[:1].lower() + sentence[1:]
+
+
 def figure(x: float) -> str:
     """A number with at least three significant digits.
 
