@@ -27,12 +27,7 @@ $(READY): pyproject.toml constraints.txt
 	@touch $(READY)
 
 thesis: $(READY)
-	$(BIN)/trl-explore train experiment=thesis output_dir=$(OUT)
-	$(BIN)/trl-explore train experiment=epsilon_grid output_dir=$(OUT)
-	$(BIN)/trl-explore train experiment=decay_grid output_dir=$(OUT)
-	$(BIN)/trl-explore time $(OUT)/thesis --trials 30
-	$(BIN)/trl-explore time $(OUT)/decay_grid
-	$(BIN)/trl-explore report thesis.yaml $(OUT)/thesis $(OUT)/epsilon_grid $(OUT)/decay_grid --out $(OUT)/report
+	$(BIN)/trl-explore thesis --out $(OUT)
 
 # make map:     train a small map of the mixtures and write its page (minutes)
 map: $(READY)

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 from plan import SIZES, Measured
 
-from trl_explore.report.style import FURTHER, INK, KNOWN, WIDTH, to_png, to_svg, visual_language
+from trl_explore.report.formats import to_png, to_svg
+from trl_explore.report.style import FURTHER, INK, KNOWN, WIDTH, visual_language
 
 LINES = (
     ("fused", 2, "fused, 2 threads", KNOWN["softmax"].color, "D"),

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from trl_explore.jobs.reading import read_job
-from trl_explore.report.decomposition import Run, crossings
+from trl_explore.report.crossings import Run, crossings
 from trl_explore.statistics.decomposition import Cells, aligned, share_of
 from trl_explore.statistics.outcomes import judged
 

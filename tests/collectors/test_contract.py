@@ -9,7 +9,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from gymnasium import spaces
 from tensordict.nn import TensorDictSequential
 from torchrl.envs.utils import ExplorationType
 
@@ -17,7 +16,8 @@ from trl_explore.collectors import (
     EpisodeCollector,
 )
 from trl_explore.envs import make_env
-from trl_explore.envs.kernels import Kernel, kernel_function, register_kernel
+from trl_explore.envs.kernels import register_kernel
+from trl_explore.envs.kernels.tables import TableEnv, from_table
 from trl_explore.numerics.streams import Stream, generator
 from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import (
@@ -137,47 +137,15 @@ def test_the_outcome_of_every_episode(kind, k):
         assert frames["trial"].tolist() == owners.tolist()
 
 
-class Payments(gym.Env):
-    """Pays ``pay`` at each of ``steps`` steps."""
+class Payments(TableEnv):
+    """Pays ``pay`` at every step; of FrozenLake's size, whose compiled code it shares."""
 
-    observation_space = spaces.Box(-1, 1, (4,), np.float32)
-    action_space = spaces.Discrete(2)
-
-    def __init__(self, pay: float, steps: int) -> None:
-        self.pay, self.steps, self.t = pay, steps, 0
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.t = 0
-        return np.zeros(4, np.float32), {}
-
-    def step(self, action):
-        self.t += 1
-        return np.zeros(4, np.float32), self.pay, self.t >= self.steps, False, {}
+    def __init__(self, pay: float) -> None:
+        stays = {s: {a: [(1.0, s, pay, False)] for a in range(4)} for s in range(16)}
+        super().__init__(stays, start=0, shape=(4, 4))
 
 
-@kernel_function
-def payments_reset(parameters, state, rng):
-    state[0] = 0
-
-
-@kernel_function
-def payments_step(parameters, state, action, rng):
-    state[0] += 1
-    return parameters[0], state[0] >= parameters[1]
-
-
-@kernel_function
-def payments_observe(parameters, state, observation):
-    for k in range(4):
-        observation[k] = 0
-
-
-@register_kernel(Payments)
-def payments(env: Payments) -> Kernel:
-    functions = payments_reset, payments_step, payments_observe
-    parameters = (float(env.pay), env.steps)
-    return Kernel(*functions, parameters, state_size=1, n_features=4, n_actions=2)
+register_kernel(Payments)(from_table)
 
 
 @pytest.mark.parametrize(
@@ -185,9 +153,9 @@ def payments(env: Payments) -> Kernel:
 )
 def test_a_score_is_a_sum_in_double(kind, pay, steps):
     """In single precision, a hundred rewards of 0.1 exceed 10, and 3 x 20,000,001 is 60,000,000."""
-    gym.register("Payments-v0", entry_point=Payments, max_episode_steps=10_000)
+    gym.register("Payments-v0", entry_point=Payments)
     try:
-        env = make_env("Payments-v0", 2, kwargs={"pay": pay, "steps": steps})
+        env = make_env("Payments-v0", 2, steps, kwargs={"pay": pay})
         collector = kind(env, TensorDictSequential(LinearPolicy(env), Softmax()))
         assert collector.collect().score.tolist() == [reduce(add, [pay] * steps)] * 2
     finally:

@@ -7,7 +7,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from gymnasium import spaces
 from gymnasium.envs.classic_control import CartPoleEnv
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torchrl.data import OneHot
@@ -19,10 +18,8 @@ from trl_explore.collectors.fused.loop import compile_loop
 from trl_explore.collectors.fused.memory import LANES, Scratch, scratch
 from trl_explore.collectors.networks import Network
 from trl_explore.envs import make_env
-from trl_explore.envs.kernels import Kernel, kernel_of, register_kernel
 from trl_explore.envs.kernels import kernel as kernel_base
-from trl_explore.numerics.compiled.cache import kernel_function
-from trl_explore.numerics.compiled.philox import random
+from trl_explore.envs.kernels import kernel_of
 from trl_explore.policies import LinearPolicy
 from trl_explore.strategies import MixtureStrategy, Softmax, Strategy
 
@@ -143,97 +140,21 @@ def test_the_scratch_of_long_episodes_stays_small():
     assert lanes == len(Scratch(*memory).steps) == 5
 
 
-class Corridor(gym.Env):
-    """Walk right to the end of a corridor with a slippery floor."""
-
-    def __init__(self, length: int = 7) -> None:
-        self.length = length
-        self.action_space = spaces.Discrete(2)
-        self.observation_space = spaces.Box(0, np.inf, (2,), np.float32)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.place = int(3 * self.np_random.random())
-        return self.observe(), {}
-
-    def step(self, action):
-        slip = self.np_random.random() < 0.2
-        self.place = max(0, self.place + (1 if (action == 1) != slip else -1))
-        return self.observe(), -1.0, self.place >= self.length, False, {}
-
-    def observe(self):
-        return np.array([self.place, 1], dtype=np.float32)
-
-
-@kernel_function
-def corridor_reset(parameters, state, rng):
-    state[0] = int(3 * random(rng))
-
-
-@kernel_function
-def corridor_step(parameters, state, action, rng):
-    slip = random(rng) < 0.2
-    state[0] = max(0.0, state[0] + (1 if (action == 1) != slip else -1))
-    return -1.0, state[0] >= parameters[0]
-
-
-@kernel_function
-def corridor_observe(parameters, state, observation):
-    observation[0], observation[1] = state[0], 1
-
-
-@register_kernel(Corridor)
-def corridor(env: Corridor) -> Kernel:
-    parameters = (env.length,)
-    functions = corridor_reset, corridor_step, corridor_observe
-    return Kernel(*functions, parameters, state_size=1, n_features=2, n_actions=2)
-
-
-def test_an_environment_of_ones_own():
-    """The 30 lines of the docs: a kernel beside an environment, and both collectors agree."""
-    from tests.collectors.test_agreement import assert_same
-    from tests.collectors.test_agreement import build as build_pair
-    from trl_explore.collectors import TorchRLCollector
-
-    gym.register("Corridor-v0", entry_point=Corridor, max_episode_steps=60)
-    try:
-        env = {"id": "Corridor-v0", "kwargs": {"length": 9}}
-        fused, _ = build_pair(FusedCollector, env, Softmax(), 25)
-        reference, _ = build_pair(TorchRLCollector, env, Softmax(), 25)
-        for _ in range(4):
-            data = fused.collect().frames
-            assert_same(data, reference.collect().frames)
-        assert data["next", "terminated"].any()
-    finally:
-        gym.registry.pop("Corridor-v0")
-
-
 def test_code_on_disk_is_made_for_the_size_of_the_state():
     """Code for a smaller state, whose functions are the same, would write beside it."""
-    network, functions = (
-        Network("linear", (2, 2)),
-        (corridor_reset, corridor_step, corridor_observe),
-    )
+    kernel, network = kernel_of(gym.make("CartPole-v1")), Network("linear", (4, 2))
     digests = [
-        compile_loop(Kernel(*functions, (9,), size, 2, 2), network)._cache.digest
-        for size in (1, 1, 5)
+        compile_loop(replace(kernel, state_size=size), network)._cache.digest for size in (4, 4, 9)
     ]
     assert digests[0] == digests[1] != digests[2]
 
 
 def test_a_large_state_is_not_put_on_the_stack(monkeypatch):
     """2.5 MB for 64 lanes took minutes to compile, and four times that have no place there."""
-
-    def large(env: Corridor) -> Kernel:
-        return replace(corridor(env), state_size=5000)
-
-    gym.register("Corridor-v0", entry_point=Corridor, max_episode_steps=20)
-    try:
-        small = build(make_env("Corridor-v0", trials=70)).collect().frames
-        monkeypatch.setitem(kernel_base._BUILDERS, Corridor, large)
-        assert (build(make_env("Corridor-v0", trials=70)).collect().frames == small).all()
-    finally:
-        gym.registry.pop("Corridor-v0")
+    small = build(make_env(trials=70)).collect().frames
+    large = replace(kernel_of(gym.make("CartPole-v1")), state_size=5000)
+    monkeypatch.setitem(kernel_base._BUILDERS, CartPoleEnv, lambda env: large)
+    assert (build(make_env(trials=70)).collect().frames == small).all()
 
 
 def test_what_does_not_fit_is_refused():

@@ -30,7 +30,7 @@ from trl_explore.strategies.mixture import Mixture
 POLICIES = {
     "linear": LinearPolicy,
     "table": partial(TabularPolicy, init="normal"),
-    "mlp": partial(MLPPolicy, hidden=[32, 32]),
+    "mlp": partial(MLPPolicy, hidden=[12]),
     "deep relu": partial(MLPPolicy, hidden=[9, 3, 16], activation="relu", bias=False),
     "no hidden layer": partial(MLPPolicy, hidden=[]),
 }
@@ -104,7 +104,7 @@ def check_pair(env, make_policy, strategy) -> None:
 def test_a_trial_alone_is_the_trial_among_thirty():
     def episode(trials, first_trial):
         env = make_env(trials=trials, first_trial=first_trial)
-        policy = MLPPolicy(env, hidden=[32, 32], first_trial=first_trial)
+        policy = POLICIES["mlp"](env, first_trial=first_trial)
         return FusedCollector(env, TensorDictSequential(policy, Softmax())).collect().frames
 
     together, alone = episode(30, 0), episode(1, 17)

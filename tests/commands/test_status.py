@@ -286,3 +286,15 @@ def test_an_error_of_the_file_system_is_one_line(monkeypatch, capsys):
     monkeypatch.setattr(main, "import_module", fail)
     assert main.main(["status", "."]) == 1
     assert capsys.readouterr().err == "error: /somewhere/file: Permission denied\n"
+
+
+def test_only_the_temporary_files_of_ended_processes_are_removed(tmp_path):
+    with subprocess.Popen(["true"]) as ended:
+        pass
+    kept, left = (tmp_path / f".{pid}.sweep.json.tmp" for pid in (os.getppid(), ended.pid))
+    kept.touch()
+    left.touch()
+    sweeps.begin_sweep(tmp_path, ["a job"])
+    sweeps.end_sweep(tmp_path)
+    assert kept.exists()
+    assert not left.exists()

@@ -104,3 +104,24 @@ def test_the_first_difference_is_named(jobs, verify, tmp_path, change, status, w
     assert ran.returncode == status, ran.stderr
     assert words in ran.stdout
     assert more in ran.stdout
+
+
+def test_the_progress_of_a_job_is_shown_and_ends(jobs, monkeypatch):
+    from trl_explore.commands import verify as command
+    from trl_explore.config.composing import recompose_all
+
+    said: list[object] = []
+
+    class Progress:
+        def __init__(self, label, records, place):
+            said.extend((label, place))
+
+        def __call__(self):
+            said.append("iteration")
+
+        def close(self):
+            said.append("closed")
+
+    monkeypatch.setattr(command, "Progress", Progress)
+    assert command.verify(recompose_all([jobs[0]])[0], (2, 5)) == command.SAME
+    assert said == [jobs[0].name, (2, 5), *["iteration"] * 12, "closed"]

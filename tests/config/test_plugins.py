@@ -89,3 +89,21 @@ def test_another_launcher_is_left_alone(monkeypatch):
     monkeypatch.setattr(plugins, "_await_submitit", pytest.fail)
     monkeypatch.setattr(plugins, "_await_ray", pytest.fail)
     plugins.await_all("hydra._internal.core_plugins.basic_launcher.BasicLauncher", pytest.fail)
+
+
+def test_each_job_is_composed_twice_to_plan_it_and_to_run_it(run_many, tmp_path):
+    count = """
+from pathlib import Path
+from trl_explore.config.plugins import Composer
+compose = Composer.__call__
+def counted(self, *words, **more):
+    with Path("composed").open("a") as file:
+        file.write("*")
+    return compose(self, *words, **more)
+Composer.__call__ = counted
+"""
+    (ended,) = run_many(
+        [count, ["-m", "trials=0", "seed=1,2,3", f"output_dir={tmp_path}"]], tmp_path
+    )
+    assert "3 of 3 jobs failed" in ended.stderr
+    assert (tmp_path / "composed").read_text() == "*" * 6

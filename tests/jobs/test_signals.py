@@ -114,3 +114,19 @@ def test_a_signal_without_a_handler_is_not_touched(monkeypatch):
     assert signal.getsignal(signal.SIGUSR2) == signal.SIG_DFL
     with Interrupts(lambda: None):
         assert signal.getsignal(signal.SIGUSR2) == signal.SIG_DFL
+
+
+def test_a_signal_that_a_destructor_drops_is_raised_again(interrupts, monkeypatch):
+    monkeypatch.setattr(signals, "PATIENCE", 0.05)
+    monkeypatch.setattr(signals, "TWICE", 0.05)
+    interrupts._handle(signal.SIGTERM, None)
+    for _ in range(2):
+        with pytest.raises(Interrupted):
+            signal.pause()
+
+
+def test_a_signal_after_the_last_iteration_ends_the_job(monkeypatch):
+    monkeypatch.setattr(signals, "_received", [])
+    handled = Interrupts(lambda: None)
+    with pytest.raises(Interrupted), handled, handled.deferred():
+        os.kill(os.getpid(), signal.SIGTERM)

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from trl_explore.report.build import build_report
+from trl_explore.report.crossings import Run, crossings
 from trl_explore.report.curves import Heights
-from trl_explore.report.decomposition import Run, crossings, decompose
+from trl_explore.report.decomposition import decompose
 from trl_explore.report.figures import draw_why
 from trl_explore.report.study_file import StudyFile
 from trl_explore.report.why import decomposition_tables, headline

@@ -227,7 +227,7 @@ def test_a_trial_by_name_moves_as_under_torch_alone(name):
         assert torch.equal(parameter[k], alone), k
 
 
-def test_every_optimiser_of_torch_is_served_or_refused_with_a_reason():
+def test_every_optimiser_of_torch_is_supported_or_refused_with_a_reason():
     names = {
         name
         for name, kind in vars(torch.optim).items()

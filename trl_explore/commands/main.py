@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ COMMANDS = {
     "status": "show which jobs are done, running, failed or left",
     "time": "time single trials of finished jobs",
     "verify": "run finished jobs again and compare the results",
+    "thesis": "run the thesis's experiments, time single trials, and write the report",
 }
 LABORATORY = {
     "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas", "rich",
@@ -57,9 +59,10 @@ def main(words: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    if name in ("train", "settle", "tune"):
+    if name in ("train", "settle", "tune", "thesis"):
         signals.leave_on_signals()
     sys.argv = [f"trl-explore {name}", *arguments]
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it works without a home folder
     try:
         status = import_module(f"trl_explore.commands.{name}").main()
         sys.stdout.flush()

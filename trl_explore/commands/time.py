@@ -42,7 +42,7 @@ def time_trial(job: RecordedJob, trial: int) -> tuple[float, int]:
     finally:
         trainer.close()
     frames = int(trials.frames[0])
-    recorded = int(job.trials.set_index("trial")["frames"].to_dict()[trial])
+    recorded = int(job.trials["frames"].iloc[trial - job.config.first_trial])
     if frames != recorded:
         raise ConfigError(
             f"{job.folder}: trial {trial} took {frames} frames alone and {recorded} in the"

@@ -15,25 +15,32 @@ import numpy as np
 from trl_explore import config as configuration
 from trl_explore import jobs as results
 from trl_explore.config.composing import RecordedJob, recompose_all
-from trl_explore.jobs.console import printable, tell
+from trl_explore.jobs.console import Progress, printable, tell
 
 TOLERANCE = 1e-5
 """The largest difference of weights, relative to the largest, that is called rounding."""
 SAME, CLOSE = "equal", "equal within rounding"
 
 
-def verify(job: RecordedJob) -> str:
+def verify(job: RecordedJob, place: tuple[int, int] = (0, 1)) -> str:
     """Train the trials of a job again; returns in words how the results compare.
+
+    ``place``: the number of the job, from 0, and the number of jobs, for the progress line.
 
     ``equal``: every trial has the same outcome, scores and weights. ``equal within rounding``: the
     same outcomes and scores, and weights that differ by at most ``TOLERANCE``. Otherwise the words
     name the first difference.
     """
     shards = configuration.build_shards(job.config)
+    records = [trainer.trials for trainer in shards.trainers]
+    progress = Progress(job.folder.name, records, place=place)
+    for trainer in shards.trainers:
+        trainer.on_iteration = lambda trials: progress()
     try:
         trials = shards.run(job.config.threads)
         weights = {name: w.detach().numpy() for name, w in shards.weights().items()}
     finally:
+        progress.close()
         shards.close()
     first = int(job.config.first_trial)
     if (job.folder / results.EPISODES).is_file():
@@ -78,8 +85,9 @@ def main() -> int:
     arguments = parser.parse_args()
     different = False
     try:
-        for job in recompose_all(arguments.folders, arguments.config_dir):
-            words = verify(job)
+        found = recompose_all(arguments.folders, arguments.config_dir)
+        for number, job in enumerate(found):
+            words = verify(job, (number, len(found)))
             different |= not words.startswith(SAME)
             print(f"{printable(job.folder.name)}: {words}", flush=True)
     except configuration.ERRORS as error:

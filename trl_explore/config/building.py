@@ -8,13 +8,13 @@ from functools import partial
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any, cast
 
-from hydra.errors import InstantiationException
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from trl_explore.checks import check_number
-from trl_explore.config.checking import check_actions, check_values, describe
-from trl_explore.config.files import ConfigError
+from trl_explore.config.checking import check_actions, check_values
+from trl_explore.config.constructing import calling, constructor_of
+from trl_explore.config.files import ConfigError, load
 from trl_explore.config.importing import import_torchrl
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def fill_threshold(config: DictConfig) -> None:
         )
     if config.score_threshold is not None or not id:
         return
-    threshold = _build("env", lambda: reward_threshold(id))
+    threshold = calling("env", lambda: reward_threshold(id))
     if threshold is None:
         raise ConfigError(
             f"score_threshold must be set, e.g. score_threshold=100: gymnasium has none for {id!r}"
@@ -115,7 +115,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from trl_explore.training.trainer import Trainer
 
     size = rows.stop - rows.start
-    trials = _build(
+    trials = calling(
         None,
         lambda: Trials(
             size,
@@ -126,30 +126,30 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
         ),
     )
     streams = {"seed": config.seed, "first_trial": config.first_trial + rows.start}
-    strategy = _instantiate(config, "strategy")()
+    strategy = constructor_of(config, "strategy")()
     if size < config.trials:
-        _build("strategy", lambda: strategy.take(rows, config.trials))
+        calling("strategy", lambda: strategy.take(rows, config.trials))
     make = _environment(config)
     if announce:
         _check_transforms(config, make)
     env = make(trials=size, **streams)
     check_actions(config, env.action_spec.domain)
     policy = _policy(config)(env=env, **streams)
-    baseline = _instantiate(config, "baseline")()
+    baseline = constructor_of(config, "baseline")()
     baseline.bind(env)
-    optimizer = _instantiate(config, "optimizer")(_parameters(policy, baseline))
+    optimizer = constructor_of(config, "optimizer")(_parameters(policy, baseline))
     actor = actor_of(policy)
-    correction = _instantiate(config, "correction")()
-    _build("correction", lambda: correction.take(rows, config.trials))
-    loss = _instantiate(config, "loss")(
+    correction = constructor_of(config, "correction")()
+    calling("correction", lambda: correction.take(rows, config.trials))
+    loss = constructor_of(config, "loss")(
         actor, correction=correction, baseline=baseline, strategy=strategy, trials=size
     )
     auto = get_object(config.collector["_target_"]) is auto_collector
     quiet = {"announce": False} if auto and not announce else {}
     both = TensorDictSequential(policy, strategy)
-    collector = _instantiate(config, "collector")(env, both, **quiet)
+    collector = constructor_of(config, "collector")(env, both, **quiet)
     if announce and not isinstance(collector, FusedCollector):  # that one has no copies
-        for line in _build("env", lambda: remarks(collector.lanes)):
+        for line in calling("env", lambda: remarks(collector.lanes)):
             logger.info(line)
     diagnostics = None
     if config.diagnostics:
@@ -159,16 +159,16 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     parts = {
         "evaluator": _evaluator(config, env, policy, strategy, size, streams),
         "diagnostics": diagnostics,
-        "intrinsic": _build(None, lambda: _intrinsic(config, env, policy, size, streams)),
-        "snapshots": _build(None, lambda: Snapshots(policy, kept, cap)) if kept else None,
+        "intrinsic": calling(None, lambda: _intrinsic(config, env, policy, size, streams)),
+        "snapshots": calling(None, lambda: Snapshots(policy, kept, cap)) if kept else None,
     }
-    return _build(None, lambda: Trainer(collector, loss, optimizer, trials, **parts))
+    return calling(None, lambda: Trainer(collector, loss, optimizer, trials, **parts))
 
 
 def _policy(config: DictConfig) -> Callable[..., Any]:
     """The constructor of the policy; its learning rate is for the optimiser."""
     plain = {key: value for key, value in config.policy.items() if key != "lr"}
-    return _instantiate(OmegaConf.create({"policy": plain}), "policy")
+    return constructor_of(OmegaConf.create({"policy": plain}), "policy")
 
 
 def _environment(config: DictConfig) -> Callable[..., Any]:
@@ -182,7 +182,7 @@ def _environment(config: DictConfig) -> Callable[..., Any]:
     for wrapper in plain.get("wrappers") or []:
         wrapper["_partial_"] = True
     plain = {key: value for key, value in plain.items() if key not in without}
-    return _instantiate(OmegaConf.create({"env": plain}), "env")
+    return constructor_of(OmegaConf.create({"env": plain}), "env")
 
 
 def _check_transforms(config: DictConfig, make: Callable[..., Any]) -> None:
@@ -193,7 +193,7 @@ def _check_transforms(config: DictConfig, make: Callable[..., Any]) -> None:
         return [instantiate(node, _convert_="all") for node in nodes]
 
     if nodes := config.env.get("transforms"):
-        _build("env", lambda: check_transforms(build, partial(make, seed=config.seed)))
+        calling("env", lambda: check_transforms(build, partial(make, seed=config.seed)))
 
 
 def _check_parts(key: str, nodes: Any) -> None:
@@ -242,7 +242,12 @@ def _evaluator(
     if config.evaluate_every == "auto":
         try:
             compilable(env, both)
-        except NotCompilableError:
+        except NotCompilableError as error:
+            if (episodes := config.evaluate_episodes) != load("train").evaluate_episodes:
+                raise ConfigError(
+                    f"evaluate_episodes={episodes} needs evaluations, but evaluate_every=auto has"
+                    f" none without a compiled kernel ({error}); give an integer >= 1"
+                ) from None
             return None
     greedy = config.evaluate_policy == "greedy"
     collector = auto_collector(
@@ -251,7 +256,7 @@ def _evaluator(
         announce=False,
         exploration_type=ExplorationType.DETERMINISTIC if greedy else ExplorationType.RANDOM,
     )
-    return _build(
+    return calling(
         None,
         lambda: Evaluator(
             collector,
@@ -270,30 +275,3 @@ def _parameters(policy: nn.Module, baseline: Baseline) -> Iterable[Any]:
     if not learned:
         return policy.parameters()
     return [{"params": list(policy.parameters())}, {"params": learned, "lr": baseline.lr}]
-
-
-def _instantiate(config: DictConfig, group: str) -> Callable[..., Any]:
-    """The constructor that a group's configuration describes."""
-
-    def construct(*args: Any, **kwargs: Any) -> Any:
-        def call() -> Any:
-            built = instantiate(config[group], _convert_="all", _partial_=True)
-            return built(*args, **kwargs)
-
-        return _build(group, call)
-
-    return construct
-
-
-def _build(group: str | None, call: Callable[[], Any]) -> Any:
-    """Call, and convert an error in the arguments to one line with the name of the group."""
-    try:
-        return call()
-    except ConfigError:
-        raise
-    except MemoryError as error:
-        line, cause = "not enough memory; reduce trials", error
-    except (InstantiationException, ValueError, TypeError, OverflowError) as error:
-        within = isinstance(error, InstantiationException)
-        line, cause = describe((within and error.__cause__) or error), error
-    raise ConfigError(f"{group}: {line}" if group else line) from cause

@@ -43,7 +43,7 @@ INTEGERS = {
 """The top-level keys that hold an integer, and their bounds."""
 POLICIES = ("greedy", "sampled")
 """How evaluations play π."""
-SERVING = ("strategy", "policy")
+LIMITED = ("strategy", "policy")
 """The groups whose options support one kind of action, the attribute ``actions`` of the class."""
 
 
@@ -145,8 +145,6 @@ def check_values(config: DictConfig) -> None:
             "keep_weights must be a list of iterations, such as [0,10,50], "
             f"got {config.keep_weights!r}"
         )
-    if config.stop_on == "evaluation":
-        raise ConfigError("stop_on=evaluation is now stop_on=learned")
 
 
 def check_actions(config: DictConfig, kind: str) -> None:
@@ -160,16 +158,16 @@ def check_actions(config: DictConfig, kind: str) -> None:
         ConfigError: if the strategy or the policy supports only the other kind.
     """
     wrong: list[str] = []
-    served: list[str] = []
-    for group in SERVING:
+    supporting: list[str] = []
+    for group in LIMITED:
         constructor = _constructor(config[group])
         if getattr(constructor, "actions", kind) != kind:
             wrong.append(constructor.__name__)
-            served.append(f"{group}={'|'.join(options(group, kind))}")
+            supporting.append(f"{group}={'|'.join(options(group, kind))}")
     if wrong:
         raise ConfigError(
             f"the environment has {kind} actions, not supported by {' and '.join(wrong)}; "
-            f"supported by {', '.join(served)}"
+            f"supported by {', '.join(supporting)}"
         )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,14 @@ from omegaconf.errors import OmegaConfBaseException
 from trl_explore.checks import first_line
 from trl_explore.config.building import build_trainer, fill_threshold
 from trl_explore.config.checking import check_keys, describe, differences, resolved
-from trl_explore.config.files import CONF, GROUPS, ConfigError, files_of, search_in
+from trl_explore.config.files import (
+    CONF,
+    GROUPS,
+    ConfigError,
+    check_folder,
+    files_of,
+    search_in,
+)
 from trl_explore.config.naming import register_resolvers
 from trl_explore.jobs.reading import find_jobs, read_run, read_trials
 
@@ -42,10 +49,10 @@ def searching(config_dir: Path | None = None) -> Iterator[None]:
     """Let Hydra compose from ``conf/``, and before it from the user's folder.
 
     Raises:
-        ConfigError: if the folder does not exist.
+        ConfigError: if the folder cannot be read.
     """
-    if config_dir is not None and not config_dir.is_dir():
-        raise ConfigError(f"--config-dir {config_dir}: no such folder")
+    if config_dir is not None:
+        check_folder(config_dir)
     register_resolvers()
     search_in([config_dir] if config_dir else [])
     search = create_config_search_path(str((config_dir or CONF).resolve()))
@@ -133,10 +140,16 @@ class RecordedJob:
 
         Evaluation is off if the training does not depend on it.
         """
-        config, row = self.config.copy(), trial - self.config.first_trial
+        row = trial - self.config.first_trial
+        return build_trainer(self._alone, slice(row, row + 1))
+
+    @cached_property
+    def _alone(self) -> DictConfig:
+        config = self.config.copy()
         if config.stop_on in ("training", "never"):
             config.evaluate_every, config.evaluate_episodes = 0, 1
-        return build_trainer(config, slice(row, row + 1))
+        OmegaConf.resolve(config)  # once, and not at every access of every trial
+        return config
 
 
 def recompose_all(folders: Iterable[Path], config_dir: Path | None = None) -> list[RecordedJob]:

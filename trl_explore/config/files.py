@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
@@ -34,6 +35,14 @@ STRATEGY = "strategy@"
 
 class ConfigError(ValueError):
     """A configuration that cannot be run; the message is one line."""
+
+
+def check_folder(folder: Path) -> None:
+    """Raise a ``ConfigError`` if the folder of ``--config-dir`` is missing or cannot be read."""
+    if not folder.is_dir():
+        raise ConfigError(f"--config-dir {folder}: no such folder")
+    if not os.access(folder, os.R_OK | os.X_OK):
+        raise ConfigError(f"--config-dir {folder}: no permission to read it")
 
 
 def search_in(folders: Iterable[Path]) -> None:

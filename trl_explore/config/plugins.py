@@ -12,7 +12,7 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from functools import wraps
+from functools import lru_cache, wraps
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -23,11 +23,14 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.core.utils import JobReturn, JobStatus
-from omegaconf import DictConfig, OmegaConf, open_dict
+from hydra.plugins.sweeper import Sweeper
+from omegaconf import DictConfig, OmegaConf, base, open_dict
 
 from trl_explore.checks import first_line
 
-VALIDATE = BasicSweeper.validate_batch_is_legal
+# Every job of a sweep holds the same references.
+base.parse = lru_cache(maxsize=512)(base.parse)  # pyright: ignore[reportPrivateImportUsage]
+VALIDATE = Sweeper.validate_batch_is_legal
 BASES = 100
 """Most choices of options whose files are kept."""
 OVER = {
@@ -48,7 +51,7 @@ def plan(config: DictConfig) -> tuple[list[Path], set[int]]:
         of another configuration.
     """
     loader = GlobalHydra.instance().config_loader()
-    BasicSweeper.validate_batch_is_legal = VALIDATE
+    Sweeper.validate_batch_is_legal = VALIDATE
     vars(loader)["load_sweep_config"] = composer = Composer(loader)  # also for the launcher
     words = [f"{key}={value}" for key, value in (config.hydra.sweeper.get("params") or {}).items()]
     words += [str(word) for word in config.hydra.overrides.task]
@@ -65,7 +68,8 @@ def plan(config: DictConfig) -> tuple[list[Path], set[int]]:
         earlier = first.setdefault(folders[-1], number)
         if earlier != number and _values(job) != _values(composer(config, batch[earlier])):
             others.add(number)
-    BasicSweeper.validate_batch_is_legal = lambda self, batch: None  # the loop above has done it
+    # The loop above has done it. Hydra loads the module of BasicSweeper again, but not this one.
+    Sweeper.validate_batch_is_legal = lambda self, batch: None
     return folders, others
 
 

@@ -149,11 +149,7 @@ class Copies:
             except BaseException as error:
                 raise self._raised(row, error) from error
             if type(answer) is not tuple or len(answer) != 2 or not isinstance(answer[1], dict):
-                raise self._error(
-                    row,
-                    f"returned {_kinds(answer)} from reset (an old gym API?); "
-                    "it must return observation, info",
-                )
+                raise self._wrong(row, answer, "reset (an old gym API?)", "observation, info")
             observation, info = answer
             self._observe(row, observation)
             self._ages[row] = 0
@@ -181,7 +177,9 @@ class Copies:
             try:
                 observation, reward, end, cut, info = answer
             except (TypeError, ValueError):
-                raise self._wrong_step(row, answer) from None
+                old = " (the old gym API)" if type(answer) is tuple and len(answer) == 4 else ""
+                must = "observation, reward, terminated, truncated, info"
+                raise self._wrong(row, answer, f"step{old}", must) from None
             if (end is not False and end is not _FALSE) or (cut is not False and cut is not _FALSE):
                 terminated[row], truncated[row] = self._flags(row, end, cut)
                 over = True
@@ -239,13 +237,13 @@ class Copies:
             return placed
         return EnvError(f"{placed}: {message}") if message else placed
 
-    def _wrong_step(self, row: int, answer: Any) -> EnvError:
-        old = type(answer) is tuple and len(answer) == 4
-        return self._error(
-            row,
-            f"returned {_kinds(answer)} from step{' (the old gym API)' if old else ''}; "
-            "it must return observation, reward, terminated, truncated, info",
-        )
+    def _wrong(self, row: int, answer: Any, method: str, must: str) -> EnvError:
+        """The error of a method that has returned something else than it must."""
+        found = f"one {type(answer).__name__}"
+        if type(answer) is tuple:
+            kinds = ", ".join(type(value).__name__ for value in answer)
+            found = f"{len(answer)} values ({kinds})"
+        return self._error(row, f"returned {found} from {method}; it must return {must}")
 
     def _reward(self, row: int, reward: Any) -> float:
         """A reward that is not a Python float, as one."""
@@ -303,10 +301,3 @@ def _without_wrappers(env: gym.Env) -> tuple[Callable[[Any], Any], int]:
     if type(inner) is OrderEnforcing:
         inner = inner.env
     return inner.step, int(limit)
-
-
-def _kinds(answer: Any) -> str:
-    """What a method has returned, in a few words."""
-    if type(answer) is not tuple:
-        return f"one {type(answer).__name__}"
-    return f"{len(answer)} values ({', '.join(type(value).__name__ for value in answer)})"

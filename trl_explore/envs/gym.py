@@ -6,7 +6,8 @@ import ast
 import inspect
 import textwrap
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from numbers import Real
@@ -88,39 +89,41 @@ def _construct(id: str, max_steps: int | None, kwargs: dict[str, Any]) -> gym.En
 
         env = TorchRLEnv(id.removeprefix(TORCHRL), **kwargs)
         return env if max_steps is None else gym.wrappers.TimeLimit(env, max_steps)
-    try:
-        with warnings.catch_warnings(record=True) as caught:
-            # If this warning of Box2D's bindings is an error, they crash the interpreter.
-            warnings.filterwarnings("ignore", "builtin type [Ss]wig", DeprecationWarning)
-            env = gym.make(id, max_episode_steps=max_steps, disable_env_checker=True, **kwargs)
-    except gym.error.DependencyNotInstalled as error:
-        raise ValueError(
-            f"environment {id!r} needs a missing package: {_remedy(id, error)}"
-        ) from error
-    except ModuleNotFoundError as error:
-        raise ValueError(_missing(id, error)) from error
-    except gym.error.Error as error:
-        raise ValueError(f"unknown environment id {id!r}: {first_line(error)}") from error
-    except (Exception, SystemExit) as error:
-        raise ValueError(
-            f"environment {id!r} rejects its arguments: {type(error).__name__}: {_whole(error)}"
-        ) from error
+    with _one_line(id, "rejects its arguments"), warnings.catch_warnings(record=True) as caught:
+        # If this warning of Box2D's bindings is an error, they crash the interpreter.
+        warnings.filterwarnings("ignore", "builtin type [Ss]wig", DeprecationWarning)
+        env = gym.make(id, max_episode_steps=max_steps, disable_env_checker=True, **kwargs)
     for warning in caught:
         warnings.warn(warning.message, warning.category, stacklevel=2)
     return env
 
 
+@contextmanager
+def _one_line(id: str, what: str) -> Iterator[None]:
+    """Turn the errors of an environment's code, which can raise anything, into one line each."""
+    try:
+        yield
+    except gym.error.DependencyNotInstalled as error:
+        raise ValueError(
+            f"environment {id!r} needs a missing package: {_remedy(id, error)}"
+        ) from error
+    except ModuleNotFoundError as error:
+        # Either the module in the id is missing, or a package that the environment imports.
+        problem, module = f"environment {id!r} needs a missing package", id.rpartition(":")[0]
+        if error.name and f"{module}.".startswith(f"{error.name}."):
+            problem = f"unknown environment id {id!r}"
+        raise ValueError(f"{problem}: {first_line(error)}") from error
+    except gym.error.Error as error:
+        raise ValueError(f"unknown environment id {id!r}: {first_line(error)}") from error
+    except (Exception, SystemExit) as error:
+        raise ValueError(
+            f"environment {id!r} {what}: {type(error).__name__}: {_whole(error)}"
+        ) from error
+
+
 def _whole(error: BaseException) -> str:
     """The message of somebody else's code, which may have several lines, as one line."""
     return " ".join(str(error).split())[:1000]
-
-
-def _missing(id: str, error: ModuleNotFoundError) -> str:
-    """Whether the module in an id is missing, or a package that the environment imports."""
-    module = id.rpartition(":")[0]
-    if error.name and f"{module}.".startswith(f"{error.name}."):
-        return f"unknown environment id {id!r}: {first_line(error)}"
-    return f"environment {id!r} needs a missing package: {first_line(error)}"
 
 
 def _remedy(id: str, error: Exception) -> str:
@@ -223,17 +226,9 @@ def reward_threshold(id: str) -> float | None:
     """
     if id.startswith(TORCHRL):
         return None
-    try:
+    with _one_line(id, "cannot be imported"):
         module, _, name = id.rpartition(":")
         if module:
             import_module(module)
         threshold = gym.spec(name).reward_threshold
-    except ModuleNotFoundError as error:
-        raise ValueError(_missing(id, error)) from error
-    except gym.error.Error as error:
-        raise ValueError(f"unknown environment id {id!r}: {first_line(error)}") from error
-    except (Exception, SystemExit) as error:  # an import can raise anything
-        raise ValueError(
-            f"environment {id!r} cannot be imported: {type(error).__name__}: {first_line(error)}"
-        ) from error
     return None if threshold is None else float(threshold)

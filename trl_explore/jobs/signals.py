@@ -51,7 +51,7 @@ def raise_on_signals() -> None:
 
     _received.clear()
     sys.unraisablehook = _lost
-    for signum in _served():
+    for signum in _handled():
         signal.signal(signum, handle)
 
 
@@ -62,7 +62,7 @@ def _lost(event: sys.UnraisableHookArgs) -> None:
     """
     if not isinstance(event.exc_value, Interrupted):
         sys.__unraisablehook__(event)
-    elif not Interrupts.serving:
+    elif not Interrupts.handling:
         leave(event.exc_value)
 
 
@@ -74,13 +74,13 @@ def check() -> None:
 
 def leave_on_signals() -> None:
     """Make these signals end the process at once, while it is still importing modules."""
-    for signum in _served():
+    for signum in _handled():
         signal.signal(signum, lambda signum, frame: leave(Interrupted(signum)))
 
 
 def leave(error: Interrupted) -> NoReturn:
     """Print why the process ends, and end it with the conventional status."""
-    for signum in _served():  # a second signal must not interrupt this
+    for signum in _handled():  # a second signal must not interrupt this
         signal.signal(signum, signal.SIG_IGN)
     print(f"{error}{error.where}; run the same command to resume", file=sys.stderr, flush=True)
     os._exit(error.status)
@@ -128,7 +128,7 @@ def _requeue(handler: Any, signum: int) -> None:
             raise
 
 
-def _served() -> list[signal.Signals]:
+def _handled() -> list[signal.Signals]:
     """The signals to handle; SIGHUP only if it is not ignored (``nohup``)."""
     if threading.current_thread() is not threading.main_thread():
         return []  # only the main thread may set handlers
@@ -153,7 +153,7 @@ class Interrupts:
         tidy: called before a signal outside ``deferred`` ends the process.
     """
 
-    serving = False
+    handling = False
     """Whether the signals of a job are being handled."""
 
     def __init__(self, tidy: Callable[[], None]) -> None:
@@ -165,19 +165,19 @@ class Interrupts:
         self._since = 0.0
 
     def __enter__(self) -> Interrupts:
-        served = _served()
-        if served:
-            served += [signum for signum in REQUEUE if callable(signal.getsignal(signum))]
-        self._before = {signum: signal.getsignal(signum) for signum in served}
-        for signum in served:
+        handled = _handled()
+        if handled:
+            handled += [signum for signum in REQUEUE if callable(signal.getsignal(signum))]
+        self._before = {signum: signal.getsignal(signum) for signum in handled}
+        for signum in handled:
             signal.signal(signum, self._handle)
-        if served:
+        if handled:
             self._before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._alarm)
-        Interrupts.serving = bool(served)
+        Interrupts.handling = bool(handled)
         return self
 
     def __exit__(self, kind: object, *error: object) -> None:
-        Interrupts.serving = False
+        Interrupts.handling = False
         for signum, handler in self._before.items():
             if signum == signal.SIGALRM:  # restored last: no handler sets the timer after it
                 self._stop_timer()

@@ -8,21 +8,13 @@ from pathlib import Path
 from types import MappingProxyType
 
 from trl_explore.jobs.columns import ResultsError
-from trl_explore.report.evidence import GroupEvidence, gather
+from trl_explore.report.evidence import gather
 from trl_explore.report.figures import Picture, draw_all, draw_why
 from trl_explore.report.loading import Gap, Say, load, silent
-from trl_explore.report.methods import paragraph, references, settings_table
-from trl_explore.report.page import MARK, Content, page
-from trl_explore.report.results_tables import (
-    comparison_table,
-    gaps_table,
-    jobs_table,
-    summary_table,
-)
+from trl_explore.report.methods import paragraph, references
+from trl_explore.report.page import MARK, page
 from trl_explore.report.study_file import StudyFile
 from trl_explore.report.tables import Table
-from trl_explore.report.verdicts import claims_table, why_tables
-from trl_explore.report.why import decomposition_tables
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
 MAP = "map.html"
@@ -53,41 +45,12 @@ def build_report(
     for k, part in enumerate(evidence.groups, start=1):
         say(0.5 + 0.4 * (k - 1) / n, f"figures {k} of {n}: {part.group.title}")
         figures[part.group.id] = list(draw_all(part))
-    content = Content(
-        evidence=evidence,
-        figures=figures,
-        tables={part.group.id: _tables(part) for part in evidence.groups},
-        settings=settings_table(evidence),
-        methods=paragraph(evidence),
-        jobs=jobs_table(evidence),
-        gaps=gaps_table(evidence),
-        why=why_tables(evidence),
-        parts=decomposition_tables(evidence.decompositions),
-        acting=list(draw_why(evidence.decompositions)),
-        map=MAP if (out / MAP).is_file() else "",
-    )
+    acting = list(draw_why(evidence.decompositions))
     say(0.9, "page")
+    html, tables = page(evidence, figures, acting, MAP if (out / MAP).is_file() else "")
     pictures: list[Picture] = [f for group in figures.values() for f in group]
-    tables = [
-        claims_table(evidence.checked), content.settings, content.jobs, content.gaps,
-        *content.parts, *content.why, *(t for part in content.tables.values() for t in part),
-    ]  # fmt: skip
-    texts = {METHODS: content.methods + "\n", REFERENCES: references(evidence)}
-    html = page(content)
-    return write_page(out, html, [*pictures, *content.acting], tables, texts), evidence.gaps
-
-
-def _tables(part: GroupEvidence) -> list[Table]:
-    """The tables of a group: configurations, pairs, and the pairs of each further question."""
-    tables = [summary_table(part), comparison_table(part)]
-    tables += [
-        comparison_table(part, answered=answered)
-        for answered in part.answered
-        if answered.comparisons != part.comparisons
-    ]
-    if part.learned:
-        tables.append(comparison_table(part.learned, learned=True))
-    return tables
+    texts = {METHODS: paragraph(evidence) + "\n", REFERENCES: references(evidence)}
+    return write_page(out, html, [*pictures, *acting], tables, texts), evidence.gaps
 
 
 def write_page(

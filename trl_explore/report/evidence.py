@@ -4,46 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
+from trl_explore import thesis
 from trl_explore.names import experiment, experiment_rank
+from trl_explore.report import layouts, sentences
+from trl_explore.report.crossings import Run
 from trl_explore.report.curves import Traces, read_traces
-from trl_explore.report.decomposition import Decomposition, Run, decompose
+from trl_explore.report.decomposition import Decomposition, decompose
 from trl_explore.report.groups import Group, group_jobs
-from trl_explore.report.layouts import (
-    option_sentences,
-    pairs_by_size,
-    plane_sentences,
-    size_sentence,
-)
 from trl_explore.report.loading import Gap, Loaded, Say, silent
 from trl_explore.report.questions import Question
 from trl_explore.report.selecting import asked, own_claims, without
-from trl_explore.report.sentences import (
-    alone,
-    answer,
-    confounded_sentence,
-    question_sentence,
-    score_sentence,
-    verdicts,
-)
 from trl_explore.report.study_file import StudyFile
+from trl_explore.report.tables import uncapital
 from trl_explore.report.why import headline
-from trl_explore.statistics.comparisons import SCORE, Comparison, compare_pairs, too_few
+from trl_explore.statistics.comparisons import SCORE, Comparison, compare_pairs
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import SharedTrials, shared_trials
 from trl_explore.statistics.summary import Summary, summarise
-from trl_explore.thesis import (
-    CAUSES,
-    CLAIMS,
-    NOT_MEASURED,
-    Checked,
-    Reexamined,
-    Study,
-    check_claims,
-    reexamine,
-)
 
 MOST_ANSWERS = 8
 """The most questions, in addition to the main one, in the answer."""
@@ -117,9 +96,9 @@ class Evidence:
 
     study: StudyFile
     groups: list[GroupEvidence]
-    checked: list[Checked]
-    reexamined: list[Reexamined]
-    causes: list[Checked]
+    checked: list[thesis.Checked]
+    reexamined: list[thesis.Reexamined]
+    causes: list[thesis.Checked]
     decompositions: list[Decomposition]
     answer: tuple[str, ...]
     shared: list[SharedTrials]
@@ -147,15 +126,20 @@ def gather(loaded: Loaded, study: StudyFile | None = None, say: Say = silent) ->
                               not any(s.converged for s in p.summaries)))  # fmt: skip
     outcomes = [job.outcomes for job in jobs]
     timed = {f"{j.outcomes.experiment}/{j.outcomes.name}": j.timing for j in reversed(jobs)}
-    data = Study(
+    data = thesis.Study(
         outcomes,
         seconds={key: t.seconds for key, t in timed.items() if t is not None},
         timed_trials={key: t.trial for key, t in timed.items() if t is not None},
         level=study.level,
     )
     say(0.4, "statements")
-    checked = _checked(data, study)
-    reexamined, causes = _why(data)
+    claims = thesis.CLAIMS
+    if isinstance(study.claims, tuple):
+        claims = own_claims(study.claims, study.path.name if study.path else "study")
+    checked = thesis.check_claims(data, claims)
+    if study.claims == "thesis" and all(c.finding.verdict == thesis.NOT_MEASURED for c in checked):
+        checked = []  # none of the thesis's statements applies
+    why = any(experiment(o.experiment).why for o in outcomes)
     runs = []
     for p in parts:
         learned = {c.name: c for c in p.group.learned}
@@ -166,13 +150,13 @@ def gather(loaded: Loaded, study: StudyFile | None = None, say: Say = silent) ->
         study=study,
         groups=parts,
         checked=checked,
-        reexamined=reexamined,
-        causes=causes,
+        reexamined=thesis.reexamine(data) if why else [],
+        causes=thesis.check_claims(data, thesis.CAUSES) if why else [],
         decompositions=decompositions,
         answer=(
             *headline(decompositions),
             *_answers(parts),
-            *verdicts(checked, "thesis" if study.claims in (None, "thesis") else "study"),
+            *sentences.verdicts(checked, "thesis" if study.claims in (None, "thesis") else "study"),
         ),
         shared=shared_trials(outcomes),
         gaps=gaps,
@@ -186,22 +170,6 @@ def effect(comparisons: Sequence[Comparison]) -> float:
     return max(real, default=0.0)
 
 
-def _checked(data: Study, study: StudyFile) -> list[Checked]:
-    """The statements of the study, or of the thesis; none if none of the thesis's applies."""
-    if isinstance(study.claims, tuple):
-        return check_claims(
-            data, own_claims(study.claims, study.path.name if study.path else "study")
-        )
-    found = check_claims(data, CLAIMS)
-    return found if any(c.finding.verdict != NOT_MEASURED for c in found) else []
-
-
-def _why(study: Study) -> tuple[list[Reexamined], list[Checked]]:
-    if not any(experiment(o.experiment).why for o in study.outcomes):
-        return [], []
-    return reexamine(study), check_claims(study, CAUSES)
-
-
 def _answers(parts: Sequence[GroupEvidence]) -> tuple[str, ...]:
     """The sentences of the main group, one of every other, and the jobs without a partner."""
     main, *others = parts
@@ -213,7 +181,7 @@ def _answers(parts: Sequence[GroupEvidence]) -> tuple[str, ...]:
         *(f"{where}{s}" if k == 0 else s for k, s in enumerate(main.sentences)),
         *said[:MOST_ANSWERS],
         *([f"The sections below answer {more} more questions."] if more > 0 else []),
-        *alone([p.group for p in others if p.single]),
+        *sentences.alone([p.group for p in others if p.single]),
     )
 
 
@@ -226,16 +194,11 @@ def _group_evidence(group: Group, gaps: list[Gap], study: StudyFile) -> GroupEvi
     learned = replace(group, configurations=list(group.learned), learned=())
     by_learning = _measured(learned, traces, study)
     said = [
-        s if s.startswith("The learned") else f"Judged by what was learned, {_within(s)}"
+        s if s.startswith("The learned") else f"Judged by what was learned, {uncapital(s)}"
         for s in by_learning.sentences
         if s not in found.sentences and "confounded" not in s
     ]
     return replace(found, learned=by_learning, sentences=(*found.sentences, *said))
-
-
-def _within(sentence: str) -> str:
-    """A sentence as it continues another: without its capital, unless that is a symbol (T = 1)."""
-    return sentence if sentence[1:2] == " " else sentence[:1].lower() + sentence[1:]
 
 
 def _measured(group: Group, traces: Traces, study: StudyFile) -> GroupEvidence:
@@ -243,7 +206,7 @@ def _measured(group: Group, traces: Traces, study: StudyFile) -> GroupEvidence:
     configurations, level = group.configurations, study.level
     learned = group.did == "learned"
     timed = learned or "passed" in study.measures
-    pairs = _pairs(group)
+    pairs = group.pairs()
     comparisons: list[Comparison] = []
     scores: list[Comparison] = []
     answered: list[Answered] = []
@@ -265,9 +228,13 @@ def _measured(group: Group, traces: Traces, study: StudyFile) -> GroupEvidence:
         sentences=(
             *(_sentences(group, comparisons, level) if timed and not answered else ()),
             *(s for a in answered if timed for s in a.sentences),
-            *(confounded_sentence(c, group) for c in group.confounds),
-            *_scores_said(group, comparisons if timed else None, scores),
-            *(_cut_short(group) or _too_few(comparisons, level)),
+            *(sentences.confounded_sentence(c, group) for c in group.confounds),
+            *(
+                ()
+                if group.plane is not None or group.sized
+                else sentences.score_sentence(comparisons if timed else None, scores, group)
+            ),
+            *sentences.warning(group, comparisons, level),
         ),
         traces=traces,
         scores=scores,
@@ -286,69 +253,22 @@ def _answered(group: Group, comparisons: list[Comparison], level: float) -> list
         layout = group.crossed
         if layout is not None and not group.chosen and question.of == layout.of:
             cells = {n: (layout.rows[r], layout.options[o]) for (r, o), n in layout.cells.items()}
-            found.append(Answered(question, comparisons, option_sentences(comparisons, cells)))
+            found.append(
+                Answered(question, comparisons, layouts.option_sentences(comparisons, cells))
+            )
         elif len(question.pairs) <= MOST_PAIRS:
             table = compare_pairs([(by_name[a], by_name[b]) for a, b in question.pairs],
                                   level=level)  # fmt: skip
-            said = question_sentence(question, table, by_name)
-            found.append(Answered(question, table, (said,)))
+            said = (sentences.question_sentence(question, table, by_name),)
+            found.append(Answered(question, table, said))
     return sorted(found, key=lambda a: -effect(a.comparisons))
-
-
-def _scores_said(
-    group: Group, comparisons: Sequence[Comparison] | None, scores: Sequence[Comparison]
-) -> tuple[str, ...]:
-    if group.plane is not None or group.sized:
-        return ()
-    what = "learned" if group.did == "learned" else "final"
-    said = score_sentence(comparisons, scores, group.labels, what)
-    return (said,) if said else ()
-
-
-def _pairs(group: Group) -> list[tuple[Outcomes, Outcomes]]:
-    """The planned pairs of a group with a layout; otherwise those of its questions, or all."""
-    if group.sized:
-        return list(pairs_by_size(group.configurations))
-    by_name = {c.name: c for c in group.configurations}
-    layout = group.crossed or group.plane
-    if layout is not None and not group.chosen:
-        return [(by_name[a], by_name[b]) for a, b in layout.pairs()]
-    if group.free and not group.chosen:
-        return list(combinations(group.configurations, 2))
-    asked = [pair for question in group.questions for pair in question.pairs]
-    # Two questions may ask for the same pair, in either order.
-    names = {frozenset(pair): pair for pair in reversed(asked)}
-    return [(by_name[a], by_name[b]) for a, b in reversed(names.values())]
-
-
-def _too_few(comparisons: Sequence[Comparison], level: float) -> tuple[str, ...]:
-    """A warning if there are too few trials for any significant difference; otherwise nothing."""
-    if (fewest := too_few(comparisons, level=level)) is None:
-        return ()
-    n, tests = max(min(c.n_a, c.n_b) for c in comparisons), len(comparisons)
-    corrected = f", corrected for {tests} comparisons," if tests > 1 else ""
-    return (
-        f"There may still be large differences: {n} trials are too few for any significant result."
-        f" The test{corrected} needs at least {fewest} trials of each configuration, even if the"
-        " difference is the same in every trial.",
-    )
-
-
-def _cut_short(group: Group) -> tuple[str, ...]:
-    """A warning if the cap ends every trial before its first full window; otherwise nothing."""
-    if not all(c.cut_short for c in group.configurations):
-        return ()
-    return (
-        f"No trial could pass: the cap of {group.cap:,} iterations ends it before it has played the"
-        f" {group.window:,} episodes that the score is averaged over.",
-    )
 
 
 def _sentences(group: Group, comparisons: Sequence[Comparison], level: float) -> tuple[str, ...]:
     if group.sized:
-        return (size_sentence(group.configurations),)
+        return (layouts.size_sentence(group.configurations),)
     if group.plane is not None:
-        return plane_sentences(group.configurations, comparisons, group.labels, level)
+        return layouts.plane_sentences(group.configurations, comparisons, group.labels, level)
     if group.confounds:
         return ()
-    return answer(group.configurations, comparisons, labels=group.labels, level=level)
+    return sentences.answer(group.configurations, comparisons, labels=group.labels, level=level)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from trl_explore.report.factors import (
     swept_parameters,
     value_words,
 )
-from trl_explore.report.layouts import SIZE, Crossed, Plane, crossed, plane
+from trl_explore.report.layouts import SIZE, Crossed, Plane, crossed, pairs_by_size, plane
 from trl_explore.report.loading import Job, repeats, set_aside, settled
 from trl_explore.report.questions import Confound, Question, confounds, inferred
 from trl_explore.report.style import Style, option_styles, styles
@@ -103,6 +104,21 @@ class Group:
     def is_grid(self) -> bool:
         """Whether the experiment is a grid over one parameter."""
         return experiment(self.experiment).grid
+
+    def pairs(self) -> list[tuple[Outcomes, Outcomes]]:
+        """The planned pairs of a layout; otherwise those of the questions, or all."""
+        if self.sized:
+            return list(pairs_by_size(self.configurations))
+        by_name = {c.name: c for c in self.configurations}
+        layout = self.crossed or self.plane
+        if layout is not None and not self.chosen:
+            return [(by_name[a], by_name[b]) for a, b in layout.pairs()]
+        if self.free and not self.chosen:
+            return list(combinations(self.configurations, 2))
+        asked = [pair for question in self.questions for pair in question.pairs]
+        # Two questions may ask for the same pair, in either order.
+        names = {frozenset(pair): pair for pair in reversed(asked)}
+        return [(by_name[a], by_name[b]) for a, b in reversed(names.values())]
 
     def short(self, name: str) -> str:
         """The label of a configuration without the parameter's name, which the axis shows."""

@@ -7,7 +7,6 @@ all text from results; only drawings, style sheet and script are inserted unesca
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
 from typing import Any
@@ -18,11 +17,13 @@ from markupsafe import Markup
 from trl_explore.names import STRATEGIES, strategy_label
 from trl_explore.report.evidence import Evidence, GroupEvidence
 from trl_explore.report.figures import Drawn, Picture
+from trl_explore.report.formats import inline_svg, theme_css
 from trl_explore.report.groups import Group
-from trl_explore.report.style import inline_svg, theme_css
+from trl_explore.report.methods import paragraph, settings_table
+from trl_explore.report.results_tables import gaps_table, group_tables, jobs_table
 from trl_explore.report.tables import Table, listed
-from trl_explore.report.verdicts import claims_table, distance, tally
-from trl_explore.report.why import headline
+from trl_explore.report.verdicts import claims_table, distance, tally, why_tables
+from trl_explore.report.why import decomposition_tables, headline
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.thesis import NOT_MEASURED
 
@@ -34,23 +35,6 @@ INLINE = 1_800_000
 OPEN = 10
 """Statements that are shown before the rest is folded."""
 PACKAGES = ("numpy", "scipy", "matplotlib")
-
-
-@dataclass(frozen=True)
-class Content:
-    """The content of a page; figures and tables by the id of their group."""
-
-    evidence: Evidence
-    figures: Mapping[str, Sequence[Drawn]]
-    tables: Mapping[str, Sequence[Table]]
-    settings: Table
-    methods: str
-    jobs: Table
-    gaps: Table
-    why: Sequence[Table] = ()
-    parts: Sequence[Table] = ()
-    acting: Sequence[Picture] = ()
-    map: str = ""
 
 
 def environment() -> Environment:
@@ -69,40 +53,51 @@ def environment() -> Environment:
     return found
 
 
-def page(content: Content) -> str:
-    """The HTML page as text."""
-    evidence = content.evidence
-    parts, main = evidence.groups, evidence.groups[0].group
-    figures = [figure for part in parts for figure in content.figures[part.group.id]]
-    hero = next((f for f in figures if f.kind.hero), None)
-    shown: list[Picture] = [*content.acting, *figures]
+def page(
+    evidence: Evidence, figures: Mapping[str, Sequence[Drawn]], acting: Sequence[Picture], map: str
+) -> tuple[str, list[Table]]:
+    """The HTML page as text, and its tables.
+
+    Args:
+        evidence: all results.
+        figures: the figures by the id of their group.
+        acting: those of the section *Why* that belong to no group.
+        map: address of a map of the mixtures, or nothing.
+    """
+    parts, study, main = evidence.groups, evidence.study, evidence.groups[0].group
+    drawn = [figure for part in parts for figure in figures[part.group.id]]
+    hero = next((f for f in drawn if f.kind.hero), None)
+    shown: list[Picture] = [*acting, *drawn]
     trials = sum(len(c) for part in parts for c in part.group.configurations)
     frames = sum(s.frames_total for part in parts for s in part.summaries)
     environments = dict.fromkeys(part.group.environment for part in parts)
     labels = list(dict.fromkeys(f.label for part in parts for f in part.group.factors))
     missing = [c for c in evidence.checked if c.finding.verdict == NOT_MEASURED]
     known = [c for c in evidence.checked if c not in missing]
-    study = evidence.study
     said, title = "statement", "The statements of this study"
     if study.claims == "thesis":
         said, title = "the thesis says", "The thesis's statements"
-    return render(
+    settings, jobs, gaps = settings_table(evidence), jobs_table(evidence), gaps_table(evidence)
+    why, divided = why_tables(evidence), decomposition_tables(evidence.decompositions)
+    of_groups = {part.group.id: group_tables(part) for part in parts}
+    sections = [_section(part, figures[part.group.id], hero, bool(why), part is parts[0])
+                for part in parts]  # fmt: skip
+    html = render(
         "page.html",
         ([hero] if hero else []) + shown,
         title=study.title or TITLE,
+        evidence=evidence,
         study=study,
         facts=f"{trials:,} trials, {frames:,} frames, {len(evidence.outcomes)} jobs.",
         main=main,
         others=[name for name in environments if name != main.environment],
         differs=listed(labels) if labels else "",
-        settings=content.settings,
-        notes=[note for part in parts for note in part.group.notes],
-        methods=content.methods,
+        settings=settings,
+        methods=paragraph(evidence),
         episodes=episodes_per_iteration(evidence.outcomes),
         strategies=_strategies(evidence.outcomes),
-        gaps=content.gaps,
-        answer=evidence.answer,
-        map=content.map,
+        gaps=gaps,
+        map=map,
         hero=hero,
         claims_tally=tally(c.finding.verdict for c in known),
         claims=claims_table(known[:OPEN], said=said, title=title),
@@ -111,10 +106,18 @@ def page(content: Content) -> str:
             missing, id="claims-missing", title="Not measured, with the reason", said=said
         ),
         claims_few=len(known) < len(missing),
-        why=_why(content, hero),
-        sections=[_section(part, content, hero) for part in parts],
+        why={
+            "tally": tally(r.outcome for r in evidence.reexamined),
+            "tables": why,
+            "acting": acting,
+            "parts": divided,
+            "headline": headline(evidence.decompositions),
+            "figures": [f for section in sections for f in section["why"]],
+            "distance": distance(evidence),
+        } if why or divided else None,
+        sections=sections,
+        tables=of_groups,
         level=f"{100 * study.level:g} %",
-        timed=evidence.timed,
         thesis=study.claims == "thesis" and bool(known),
         plane=any(part.group.plane is not None for part in parts),
         shared=[
@@ -123,9 +126,13 @@ def page(content: Content) -> str:
             if s.first[0] != s.second[0]
         ],
         provenance=_provenance(evidence),
-        jobs=content.jobs,
+        jobs=jobs,
         files=shown,
-    )
+    )  # fmt: skip
+    return html, [
+        claims_table(evidence.checked), settings, jobs, gaps, *divided, *why,
+        *(table for tables in of_groups.values() for table in tables),
+    ]  # fmt: skip
 
 
 def render(template: str, figures: Sequence[Picture], **parts: Any) -> str:
@@ -185,39 +192,16 @@ def _strategies(outcomes: Sequence[Outcomes]) -> list[tuple[str, str]]:
     return [(strategy_label(n), STRATEGIES[n].does if n in STRATEGIES else "") for n in ordered]
 
 
-def _why(content: Content, hero: Drawn | None) -> dict[str, Any] | None:
-    """The section on acting, bias and data; None if no corrections were run."""
-    if not content.why and not content.parts:
-        return None
-    evidence = content.evidence
-    shown = [
-        figure
-        for part in evidence.groups
-        if part.why
-        for figure in content.figures[part.group.id]
-        if figure.kind.why and figure is not hero
-    ]
-    return {
-        "tally": tally(r.outcome for r in evidence.reexamined),
-        "tables": content.why,
-        "acting": content.acting,
-        "parts": content.parts,
-        "headline": headline(evidence.decompositions),
-        "effects": [f for f in shown if not f.kind.recorded],
-        "distances": [f for f in shown if f.kind.recorded],
-        "distance": distance(evidence),
-    }
-
-
-def _section(part: GroupEvidence, content: Content, hero: Drawn | None) -> dict[str, Any]:
+def _section(
+    part: GroupEvidence, drawn: Sequence[Drawn], hero: Drawn | None, why: bool, main: bool
+) -> dict[str, Any]:
+    """The section of a group; ``main`` if its sentences are in the answer."""
     group = part.group
-    drawn = content.figures[group.id]
-    above = [f for f in drawn if f is hero or (content.why and part.why and f.kind.why)]
+    moved = [f for f in drawn if why and part.why and f.kind.why]
+    above = [f for f in drawn if f is hero or f in moved]
     here = [f for f in drawn if f not in above]
-    main = part is content.evidence.groups[0]  # its sentences are in the answer
-    notes = [] if main else list(part.sentences)
-    if part.single and not main:
-        notes = []  # named in the answer
+    # What is alone is named in the answer.
+    notes = [] if main or part.single else list(part.sentences)
     if part.incomparable:
         notes.append(f"No comparison: {part.incomparable}.")
     absent = []
@@ -228,7 +212,8 @@ def _section(part: GroupEvidence, content: Content, hero: Drawn | None) -> dict[
     return {
         "group": group, "facts": group_facts(group), "notes": notes, "absent": absent,
         "above": above, "figures": [f for f in here if not f.kind.recorded],
-        "recorded": [f for f in here if f.kind.recorded], "tables": content.tables[group.id],
+        "recorded": [f for f in here if f.kind.recorded],
+        "why": [f for f in moved if f is not hero],
     }  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from trl_explore.names import strategy_label
 from trl_explore.report.groups import Group
 from trl_explore.report.questions import Confound, Question
 from trl_explore.report.tables import FEW, MOST, capital, figure, interval, listed, negated, some
-from trl_explore.statistics.comparisons import Comparison
+from trl_explore.statistics.comparisons import Comparison, too_few
 from trl_explore.statistics.estimates import LEVEL, Estimate, pass_rate
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.power import trials_text
@@ -162,23 +162,21 @@ def alone(groups: Sequence[Group]) -> tuple[str, ...]:
 
 
 def score_sentence(
-    comparisons: Sequence[Comparison] | None,
-    scores: Sequence[Comparison],
-    labels: Mapping[str, str],
-    what: str = "final",
-) -> str:
+    comparisons: Sequence[Comparison] | None, scores: Sequence[Comparison], group: Group
+) -> tuple[str, ...]:
     """The pairs that differ in their scores although their iterations do not tell them apart.
 
-    ``scores`` are the same pairs as ``comparisons``; without these, all that differ. Empty if there
-    is no such pair.
+    ``scores`` are the same pairs as ``comparisons``; without these, all that differ. Nothing if
+    there is no such pair.
     """
+    what, labels = "learned" if group.did == "learned" else "final", group.labels
     decided = {(c.a, c.b) for c in comparisons or () if c.winner is not None}
     found = [c for c in scores if c.winner is not None and (c.a, c.b) not in decided]
     if not found:
         if comparisons is None and scores:
             pairs = _count(len(scores), "pair", "pairs")
-            return f"No {what} scores differ significantly in {pairs}."
-        return ""
+            return (f"No {what} scores differ significantly in {pairs}.",)
+        return ()
     found.sort(key=lambda c: -abs(c.difference.value))
     said = []
     for c in found[:MOST]:
@@ -193,7 +191,25 @@ def score_sentence(
     return (
         f"The {what} scores differ significantly, after Holm’s correction"
         f"{'' if comparisons is None else ', where the iterations do not'}:"
-        f" {'; '.join(said)}{more}."
+        f" {'; '.join(said)}{more}.",
+    )
+
+
+def warning(group: Group, comparisons: Sequence[Comparison], level: float) -> tuple[str, ...]:
+    """Why no trial could pass, or no difference could be significant; otherwise nothing."""
+    if all(c.cut_short for c in group.configurations):
+        return (
+            f"No trial could pass: the cap of {group.cap:,} iterations ends it before it has"
+            f" played the {group.window:,} episodes that the score is averaged over.",
+        )
+    if (fewest := too_few(comparisons, level=level)) is None:
+        return ()
+    n, tests = max(min(c.n_a, c.n_b) for c in comparisons), len(comparisons)
+    corrected = f", corrected for {tests} comparisons," if tests > 1 else ""
+    return (
+        f"There may still be large differences: {n} trials are too few for any significant result."
+        f" The test{corrected} needs at least {fewest} trials of each configuration, even if the"
+        " difference is the same in every trial.",
     )
 
 

@@ -47,6 +47,16 @@ class Column:
         return plain(record.get(self.key))
 
 
+def plain_columns(*keys: str) -> list[Column]:
+    """Columns of values as they are, whose title is their key."""
+    return [Column(key, key, lambda r, key=key: str(r[key])) for key in keys]
+
+
+def estimates(titles: Mapping[str, str]) -> list[Column]:
+    """Columns of estimates with their intervals: key -> title."""
+    return [Column(key, title, estimate_cell(key), True) for key, title in titles.items()]
+
+
 @dataclass(frozen=True)
 class Table:
     """Records with all numbers, and the columns that readers see.
@@ -160,6 +170,11 @@ def some(words: Sequence[str]) -> str:
 def capital(text: str) -> str:
     """The text as the beginning of a sentence; ε has no capital."""
     return text[:1].upper() + text[1:] if text[:1].isascii() else text
+
+
+def uncapital(sentence: str) -> str:
+    """A sentence as it continues another; a symbol (T = 1) keeps its capital."""
+    return sentence if sentence[1:2] == " " else sentence[:1].lower() + sentence[1:]
 
 
 def figure(x: float) -> str:

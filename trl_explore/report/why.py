@@ -16,6 +16,7 @@ from trl_explore.report.tables import (
     interval,
     p_value,
     percent,
+    plain_columns,
     some,
 )
 from trl_explore.statistics.estimates import Estimate, flat
@@ -74,26 +75,10 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
     quantity, parts = chosen_quantity(found)
     if not parts:
         return ""
-    words, said = WORDS[quantity], []
+    words = WORDS[quantity]
     shown, rest = _largest([pair for pair in parts if not np.isnan(pair[1].bias.value)])
     unclear = [pair for pair in parts if np.isnan(pair[1].bias.value)]
-    for strategy, p in shown:
-        more = "more" if p.gap.value > 0 else words.fewer
-        whole = (
-            f"the {figure(abs(p.gap.value))} {words.unit} that {strategy} {words.verb} {more} than"
-            f" softmax ({figure(p.plain)} against {figure(p.reference)})"
-        )
-        ways = [(p.corrected, f"removed from {strategy}"), (p.assumed, "added to softmax")]
-        ways = [(share, how) for share, how in ways if share is not None]
-        if p.separable:
-            only = f", {ways[0][1]}," if len(ways) == 1 else ""
-            said.append(f"{percent(p.bias)}{only} of {whole}")
-        elif odd := _odd(strategy, p, words):
-            said.append(f"no share of {whole}: {odd}")
-        else:
-            ways.sort(key=lambda way: way[0].value)
-            low, high = (f"{percent(share)}, {how}," for share, how in ways)
-            said.append(f"{low} to {high} of {whole}")
+    said = [_share_said(strategy, p, words) for strategy, p in shown]
     none = ""
     if unclear:
         size = f" ({interval(unclear[0][1].gap)} {words.unit})" if len(unclear) == 1 else ""
@@ -101,27 +86,41 @@ def _bias_said(found: Sequence[Decomposition]) -> str:
             f"no share can be estimated for {some([name for name, _ in unclear])}, whose difference"
             f" from softmax{size} is too uncertain or too small"
         )
-    start = "Bias: a gradient that treats the actions as if they came from the policy is biased"
-    if not said:
-        return f"{start}; of the {words.name}, {none}."
+    what = f"this explains {'; '.join(said)}{rest}" if said else ""
     return (
-        f"{start}; of the {words.name}, this explains {'; '.join(said)}{rest}"
-        f"{'; ' if none else ''}{none}."
+        "Bias: a gradient that treats the actions as if they came from the policy is biased; of the"
+        f" {words.name}, {'; '.join(part for part in (what, none) if part)}."
     )
 
 
-def _odd(strategy: str, p: Parts, words: Words) -> str:
-    """What the bias does, where it is not part of the difference; empty where it is."""
-    ways = [(p.corrected, strategy, "without the bias", -1), (p.assumed, "softmax", "with it", 1)]
-    known = [(s.value, name, how, sign) for s, name, how, sign in ways if s is not None]
-    if all(-NEAR <= share <= 1 + 3 * NEAR for share, *_ in known):
-        return ""
-    said = []
-    for share, name, how, sign in known:
-        change = sign * share * p.gap.value
+def _share_said(strategy: str, p: Parts, words: Words) -> str:
+    """The share of the bias in the difference, by each way in which it was measured."""
+    more = "more" if p.gap.value > 0 else words.fewer
+    whole = (
+        f"the {figure(abs(p.gap.value))} {words.unit} that {strategy} {words.verb} {more} than"
+        f" softmax ({figure(p.plain)} against {figure(p.reference)})"
+    )
+    known = [
+        (share, how, name, change, sign)
+        for share, how, name, change, sign in (
+            (p.corrected, f"removed from {strategy}", strategy, "without the bias", -1),
+            (p.assumed, "added to softmax", "softmax", "with it", 1),
+        )
+        if share is not None
+    ]
+    if p.separable:
+        only = f", {known[0][1]}," if len(known) == 1 else ""
+        return f"{percent(p.bias)}{only} of {whole}"
+    if all(-NEAR <= share.value <= 1 + 3 * NEAR for share, *_ in known):
+        known.sort(key=lambda way: way[0].value)
+        low, high = (f"{percent(share)}, {how}," for share, how, *_ in known)
+        return f"{low} to {high} of {whole}"
+    changes = []  # the bias is not part of the difference
+    for share, _, name, how, sign in known:
+        change = sign * share.value * p.gap.value
         more = "more" if change > 0 else words.fewer
-        said.append(f"{how}, {name} {words.verb} {figure(abs(change))} {words.unit} {more}")
-    return " and, ".join(said)
+        changes.append(f"{how}, {name} {words.verb} {figure(abs(change))} {words.unit} {more}")
+    return f"no share of {whole}: {' and, '.join(changes)}"
 
 
 def _data_said(found: Sequence[Decomposition]) -> str:
@@ -177,33 +176,32 @@ def decomposition_tables(found: Sequence[Decomposition]) -> list[Table]:
 
 def _main(found: Sequence[Decomposition]) -> Table:
     by = {(d.environment, d.strategy): d for d in found}
+    environments = dict.fromkeys(d.environment for d in found)
     quantity = {
         environment: chosen_quantity([d for d in found if d.environment == environment])[0]
-        for environment in dict.fromkeys(d.environment for d in found)
+        for environment in environments
     }
 
-    def of(text: Callable[[Decomposition], str]) -> Callable[[Record], str]:
-        return lambda r: text(by[r["environment"], r["strategy"]])
+    def of(key: str, title: str, text: Callable[[Decomposition], str]) -> Column:
+        return Column(key, title, lambda r: text(by[r["environment"], r["strategy"]]), True)
 
-    def part(text: Callable[[Parts | None], str]) -> Callable[[Record], str]:
-        return of(lambda d: text(d.parts.get(quantity[d.environment])))
+    def part(key: str, title: str, text: Callable[[Parts | None], str]) -> Column:
+        return of(key, title, lambda d: text(d.parts.get(quantity[d.environment])))
 
-    times = {QUANTITIES[q] for q in quantity.values()}
-
+    times = " or ".join(sorted({QUANTITIES[q] for q in quantity.values()}))
     columns = [
-        Column("strategy", "strategy", lambda r: r["strategy"]),
-        Column("handicap", "acting: score in training, and without exploration",
-               of(_acting), True),
-        Column("gap", f"{' or '.join(sorted(times))}: difference from softmax", part(_gap), True),
-        Column("bias", "bias: its share", part(_bias), True),
-        Column("data", "data: the same, corrected", part(_data), True),
-        Column("passes", "trials that pass", of(_passes), True),
-    ]  # fmt: skip
+        *plain_columns("strategy"),
+        of("handicap", "acting: score in training, and without exploration", _acting),
+        part("gap", f"{times}: difference from softmax", _gap),
+        part("bias", "bias: its share", _bias),
+        part("data", "data: the same, corrected", _data),
+        of("passes", "trials that pass", _passes),
+    ]
     if set(quantity.values()) != {"passing"}:
-        by_passing = of(lambda d: _bias(d.parts.get("passing")))
-        columns.insert(5, Column("passing_bias", "bias: its share by passing", by_passing, True))
-    if len({d.environment for d in found}) > 1:
-        columns.insert(0, Column("environment", "environment", lambda r: r["environment"]))
+        columns.insert(5, of("passing_bias", "bias: its share by passing",
+                             lambda d: _bias(d.parts.get("passing"))))  # fmt: skip
+    if len(environments) > 1:
+        columns[:0] = plain_columns("environment")
     title = "Acting, bias and data: every strategy against softmax"
     records = [_record(d, quantity[d.environment]) for d in found]
     return Table("why-parts", title, columns, records, main=True, kind="cards")
@@ -270,25 +268,24 @@ def _quantities(found: Sequence[Decomposition]) -> Table:
         for (environment, strategy, _), p in by.items()
     ]
 
-    def of(key: str, text: Callable[[Any], str]) -> Callable[[Record], str]:
+    def of(key: str, title: str, text: Callable[[Any], str]) -> Column:
         def cell(r: Record) -> str:
             value = getattr(by[r["environment"], r["strategy"], r["quantity"]], key)
             return "–" if value is None else text(value)
 
-        return cell
+        return Column(key, title, cell, True)
 
     columns = [
-        Column("environment", "environment", lambda r: r["environment"]),
-        Column("strategy", "strategy", lambda r: r["strategy"]),
+        *plain_columns("environment", "strategy"),
         Column("quantity", "quantity", lambda r: QUANTITIES[r["quantity"]]),
-        Column("plain", "uncorrected", of("plain", figure), True),
-        Column("reference", "softmax", of("reference", figure), True),
-        Column("gap", "difference", of("gap", interval), True),
-        Column("assumed", "bias, added", of("assumed", percent), True),
-        Column("corrected", "bias, removed", of("corrected", percent), True),
-        Column("bias", "bias, mean of these", of("bias", percent), True),
-        Column("data", "data", of("data", interval), True),
-        Column("p_data", "p of data (Holm)", of("p_data", p_value), True),
-        Column("n", "trials", of("n", "{:,}".format), True),
+        of("plain", "uncorrected", figure),
+        of("reference", "softmax", figure),
+        of("gap", "difference", interval),
+        of("assumed", "bias, added", percent),
+        of("corrected", "bias, removed", percent),
+        of("bias", "bias, mean of these", percent),
+        of("data", "data", interval),
+        of("p_data", "p of data (Holm)", p_value),
+        of("n", "trials", "{:,}".format),
     ]
     return Table("why-quantities", "Bias and data in every quantity", columns, records, main=True)

@@ -6,8 +6,8 @@ An entry has one rule and its values, ``{passes: {of: softmax, above: 0.8}}``. E
     not: {...}                                 the negation of an entry
     under: {correction: NAME, ...}             an entry, asked of the experiments with corrections
 
-``of``, ``first`` and ``second`` select configurations: those of the thesis as
-:meth:`Study.find <trl_explore.thesis.study.Study.find>` says; a rule holds if it holds for each.
+``of``, ``first`` and ``second`` select configurations: those of the thesis as :func:`find` says; a
+rule holds if it holds for each.
 ``measure`` is ``iterations`` (restricted to the cap), ``score``, ``frames`` or ``time``, ``among``
 is ``passing`` or ``failing`` trials.
 """
@@ -18,12 +18,15 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
+
+from trl_explore.names import option_label, strategy_label, symbol
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.samples import Sample
 from trl_explore.thesis import particular, rules
 from trl_explore.thesis.particular import Find
 from trl_explore.thesis.rules import Decision, Finding, Rule
-from trl_explore.thesis.study import Study, trials_of
+from trl_explore.thesis.study import NotMeasuredError, Study
 
 Entry = Mapping[str, Any]
 Finder = Callable[[Study, Any], Mapping[str, Outcomes]]
@@ -41,7 +44,55 @@ RULES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 """Rule of a study file -> the keys that it needs, and those that it may have."""
 
 
-def decision(entry: Entry, find: Finder = Study.find) -> Decision:
+def find(study: Study, selector: Any) -> dict[str, Outcomes]:
+    """Label for readers -> configuration, under the conditions of the thesis.
+
+    Args:
+        study: the data.
+        selector: a strategy or several of the thesis's experiment, or all others, ``{but:
+            softmax}``; a value of a grid, ``{grid: decay, value: 0.99}``, all others, ``{grid:
+            decay, but: 0.99}``, those above the median, ``{grid: decay, above: median}``, or all;
+            a strategy with some or ``all`` corrections, ``{strategy: argmax, corrections: all}``.
+
+    Raises:
+        NotMeasuredError: one of them was not run.
+    """
+    if isinstance(selector, Mapping) and "grid" in selector:
+        return _of_grid(study, **selector)
+    if isinstance(selector, Mapping) and "corrections" in selector:
+        name, called = selector["strategy"], strategy_label(selector["strategy"])
+        found = study.corrected(name, selector["corrections"])
+        return {f"{called} with {option_label('correction', k)}": o for k, o in found.items()}
+    if isinstance(selector, Mapping):
+        names = [name for name in study.strategies if name != selector["but"]]
+    else:
+        names = [selector] if isinstance(selector, str) else selector
+    return {strategy_label(name): study.strategy(name) for name in names}
+
+
+def _of_grid(
+    study: Study, grid: str, value: float | None = None, but: float | None = None, above: str = ""
+) -> dict[str, Outcomes]:
+    found, called, chosen = study.grid(f"{grid}_grid", grid), symbol(grid), but or value
+    if chosen is not None and (chosen not in found or len(found) < 2):
+        raise NotMeasuredError(
+            f"the grid of {called} needs {chosen:g} and at least one other value"
+        )
+    least = float(np.median(list(found))) if above else -np.inf
+    how = f", {option_label('correction', study.correction)}" if study.correction else ""
+    return {
+        f"{called} = {x:g}{how}": o
+        for x, o in found.items()
+        if value in (None, x) and x != but and x > least
+    }
+
+
+def _trials_of(label: str) -> str:
+    """The trials of a configuration: ``softmax trials``, ``trials with T = 1.5``."""
+    return f"trials with {label}" if " = " in label else f"{label} trials"
+
+
+def decision(entry: Entry, find: Finder = find) -> Decision:
     """The function that decides an entry; it may raise NotMeasuredError."""
 
     def decide(study: Study, unit: Any = None) -> Finding:
@@ -77,14 +128,14 @@ def _joined(found: Sequence[Rule]) -> Rule:
 def _passes(study: Study, find: Find, of: Any, **bound: float) -> list[Rule]:
     did = "learned" if study.measure == "learned" else "pass"
     return [
-        rules.share(int(o.converged.sum()), len(o), f"{trials_of(label)} {did}", **bound)
+        rules.share(int(o.converged.sum()), len(o), f"{_trials_of(label)} {did}", **bound)
         for label, o in find(of).items()
     ]
 
 
 def _always_passes(study: Study, find: Find, of: Any) -> list[Rule]:
     return [
-        rules.never(int((~o.converged).sum()), len(o), f"{trials_of(label)} fail")
+        rules.never(int((~o.converged).sum()), len(o), f"{_trials_of(label)} fail")
         for label, o in find(of).items()
     ]
 

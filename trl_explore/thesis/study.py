@@ -156,47 +156,6 @@ class Study:
             raise NotMeasuredError(f"{experiment} has several configurations of {called}")
         return _pooled(alike)
 
-    def find(self, selector: Any) -> dict[str, Outcomes]:
-        """Label for readers -> configuration, under the conditions of the thesis.
-
-        Args:
-            selector: a strategy or several of the thesis's experiment, or all others,
-                ``{but: softmax}``; a value of a grid, ``{grid: decay, value: 0.99}``, all others,
-                ``{grid: decay, but: 0.99}``, those above the median, ``{grid: decay, above:
-                median}``, or all; a strategy with one or ``all`` of its corrections,
-                ``{strategy: argmax, corrections: [PerStep]}``.
-
-        Raises:
-            NotMeasuredError: one of them was not run.
-        """
-        if isinstance(selector, Mapping) and "grid" in selector:
-            return self._of_grid(**selector)
-        if isinstance(selector, Mapping) and "corrections" in selector:
-            name, called = selector["strategy"], strategy_label(selector["strategy"])
-            found = self.corrected(name, selector["corrections"])
-            return {f"{called} with {option_label('correction', k)}": o for k, o in found.items()}
-        if isinstance(selector, Mapping):
-            names = [name for name in self.strategies if name != selector["but"]]
-        else:
-            names = [selector] if isinstance(selector, str) else selector
-        return {strategy_label(name): self.strategy(name) for name in names}
-
-    def _of_grid(
-        self, grid: str, value: float | None = None, but: float | None = None, above: str = ""
-    ) -> dict[str, Outcomes]:
-        found, called, chosen = self.grid(f"{grid}_grid", grid), symbol(grid), but or value
-        if chosen is not None and (chosen not in found or len(found) < 2):
-            raise NotMeasuredError(
-                f"the grid of {called} needs {chosen:g} and at least one other value"
-            )
-        least = float(np.median(list(found))) if above else -np.inf
-        how = f", {option_label('correction', self.correction)}" if self.correction else ""
-        return {
-            f"{called} = {x:g}{how}": o
-            for x, o in found.items()
-            if value in (None, x) and x != but and x > least
-        }
-
     def corrected(self, strategy: str, corrections: Sequence[str] | str) -> dict[str, Outcomes]:
         """Class of a correction -> the strategy with it; the per-step ratio is among ``all``."""
         found = self.choices("corrections", strategy, "correction")
@@ -284,11 +243,6 @@ class Study:
                 f"the timed trials of {strategy_label(outcomes.strategy)} do not match its trials"
             )
         return values, where
-
-
-def trials_of(label: str) -> str:
-    """The trials of a configuration: ``softmax trials``, ``trials with T = 1.5``."""
-    return f"trials with {label}" if " = " in label else f"{label} trials"
 
 
 def _pooled(jobs: Sequence[Outcomes]) -> Outcomes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -19,6 +20,9 @@ from trl_explore.numerics.compiled.philox import random
 class Task(gym.Env[Any, Any]):
     """An environment with ``_begin``, which sets the first state, and ``_observation``."""
 
+    _begin: Callable[[], None]
+    _observation: Callable[[], Any]
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
@@ -26,12 +30,6 @@ class Task(gym.Env[Any, Any]):
         super().reset(seed=seed)
         self._begin()
         return self._observation(), {}
-
-    def _begin(self) -> None:
-        raise NotImplementedError
-
-    def _observation(self) -> Any:
-        raise NotImplementedError
 
 
 MOVE_COST = 0.01

@@ -20,7 +20,8 @@ from trl_explore.report.figures import (
     trials,
 )
 from trl_explore.report.figures.axes import Kind
-from trl_explore.report.style import drawn_files, visual_language
+from trl_explore.report.formats import drawn_files
+from trl_explore.report.style import visual_language
 
 KINDS: tuple[Kind, ...] = (
     maps.passing,
