@@ -204,29 +204,32 @@ def test_closing_goes_on_after_an_error(odd, monkeypatch, caplog):
     assert caplog.messages == [line, line]
 
 
-def test_another_action_space_in_another_trial(odd, monkeypatch):
-    """A policy has one number of actions."""
+@pytest.mark.parametrize(
+    ("name", "space", "message"),
+    [
+        (
+            "action_space",
+            spaces.Discrete,
+            r"Discrete\(3\) in one trial and Discrete\(2\) in an",
+        ),
+        (
+            "observation_space",
+            lambda n: spaces.Box(-1, 1, (n + 1,)),
+            "observations of 4 numbers in one trial and of 3 in another",
+        ),
+    ],
+)
+def test_other_spaces_in_another_trial(name, space, message, odd, monkeypatch):
+    """A policy has one number of inputs and of actions."""
 
     def build(self):
         self.resets = 0
-        numbers.append(2 + len(numbers) // 2)
-        self.action_space = spaces.Discrete(numbers[-1])
+        numbers.append(2 + len(numbers) // 2)  # the first copy and the probe are alike
+        setattr(self, name, space(numbers[-1]))
 
     numbers: list[int] = []
     monkeypatch.setattr(Odd, "__init__", build)
-    with pytest.raises(EnvError, match=r"Discrete\(3\) in one trial and Discrete\(2\) in another"):
-        play(odd)
-
-
-def test_other_observations_in_another_trial(odd, monkeypatch):
-    def build(self):
-        self.resets = 0
-        sizes.append(3 + len(sizes) // 2)
-        self.observation_space = spaces.Box(-1, 1, (sizes[-1],))
-
-    sizes: list[int] = []
-    monkeypatch.setattr(Odd, "__init__", build)
-    with pytest.raises(EnvError, match=r"observations of 4 numbers in one trial and of 3 in anoth"):
+    with pytest.raises(EnvError, match=message):
         play(odd)
 
 
@@ -244,15 +247,6 @@ def test_a_copy_that_cannot_be_built_is_placed(odd, monkeypatch):
         play(odd)
 
 
-def test_the_whole_message_of_a_constructor_is_one_line(odd, monkeypatch):
-    def build(self):
-        raise ValueError("render_mode must be\none of rgb_array")
-
-    monkeypatch.setattr(Odd, "__init__", build)
-    with pytest.raises(ValueError, match="ValueError: render_mode must be one of rgb_array"):
-        LaneVectorEnv(odd, 1)
-
-
 def test_ctrl_c_is_no_error_of_the_environment(odd, monkeypatch):
     def interrupt():
         raise KeyboardInterrupt
@@ -267,71 +261,6 @@ def test_ctrl_c_is_no_error_of_the_environment(odd, monkeypatch):
             play(odd)
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-class Acting(gym.Env):
-    """Keeps the actions that it gets, and writes into arrays."""
-
-    observation_space = Odd.observation_space
-    action_space: spaces.Space = spaces.Discrete(2)
-
-    def __init__(self) -> None:
-        self.seen: list = []
-
-    def reset(self, *, seed=None, options=None):
-        return GOOD[0], {}
-
-    def step(self, action):
-        self.seen.append(action)
-        return GOOD
-
-
-@pytest.mark.parametrize(
-    ("space", "actions", "expected"),
-    [
-        (spaces.Discrete(2), [1, 0], [1, 0]),
-        (spaces.Discrete(2, start=-1), [1, 0], [0, -1]),
-        (spaces.MultiDiscrete([2, 3]), [5, 1], [[1, 2], [0, 1]]),
-        (spaces.MultiBinary(2), [2, 3], [[1, 0], [1, 1]]),
-        (spaces.Box(-1, 1, (2,), np.float64), [[0.5, -9], [1, 0]], [[0.5, -1], [1, 0]]),
-        (spaces.Box(-1, 1, (1, 2)), [[0.5, -9], [1, 0]], [[[0.5, -1]], [[1, 0]]]),
-        (spaces.Box(-1, 1, ()), [[0.5], [3]], [0.5, 1]),
-    ],
-)
-def test_actions_are_of_the_space(space, actions, expected, monkeypatch):
-    monkeypatch.setattr(Acting, "action_space", space)
-    monkeypatch.setitem(gym.registry, "Act-v0", EnvSpec("Act-v0", Acting, max_episode_steps=5))
-    lanes = LaneVectorEnv("Act-v0", 2)
-    lanes.reset()
-    lanes.step(np.array(actions))
-    for env, action in zip(lanes.envs, expected, strict=True):
-        (seen,) = env.unwrapped.seen  # pyright: ignore
-        assert space.contains(seen)
-        if isinstance(space, spaces.Discrete):
-            assert type(seen) is int
-            assert seen == action
-        else:
-            assert seen.flags.owndata
-            assert seen.dtype == space.dtype
-            assert seen.tolist() == action
-
-
-class LateMask(Odd):
-    """A mask that comes with steps, and not with the reset."""
-
-    def step(self, action):
-        assert action == 0
-        return *GOOD[:4], {"action_mask": [1, 0]}
-
-
-def test_a_mask_that_comes_with_steps_only_is_obeyed(monkeypatch):
-    spec = EnvSpec("Late-v0", LateMask, max_episode_steps=5)
-    monkeypatch.setitem(gym.registry, "Late-v0", spec)
-    lanes = LaneVectorEnv("Late-v0", 1)
-    assert lanes.has_masks
-    for _ in range(2):
-        assert lanes.reset()[1]["action_mask"].tolist() == [[True, True]]
-        assert lanes.step(np.zeros(1, int))[-1]["action_mask"].tolist() == [[True, False]]
 
 
 @pytest.mark.parametrize("limit", [1, 3])

@@ -12,6 +12,7 @@ from gymnasium.envs.registration import EnvSpec
 
 from trl_explore.envs.flattening import Actions, flat_observations, writer
 from trl_explore.envs.make import make_env
+from trl_explore.envs.vector import LaneVectorEnv
 
 SPACES: dict[str, spaces.Space[Any]] = {
     "vector": spaces.Box(-1, 1, (3,)),
@@ -115,3 +116,50 @@ def test_every_space_is_played(name, monkeypatch):
     )
     assert one["observation"].shape == (2, 4, *(flat_observations(SPACES[name]).shape))
     assert (one["observation"] == two["observation"]).all()
+
+
+class Acting(gym.Env):
+    """Keeps the actions that it gets, and writes into arrays."""
+
+    observation_space = spaces.Box(-np.inf, np.inf, (3,), np.float32)
+    action_space: spaces.Space = spaces.Discrete(2)
+
+    def __init__(self) -> None:
+        self.seen: list = []
+
+    def reset(self, *, seed=None, options=None):
+        return np.zeros(3, np.float32), {}
+
+    def step(self, action):
+        self.seen.append(action)
+        return np.zeros(3, np.float32), 1.0, False, False, {}
+
+
+@pytest.mark.parametrize(
+    ("space", "actions", "expected"),
+    [
+        (spaces.Discrete(2), [1, 0], [1, 0]),
+        (spaces.Discrete(2, start=-1), [1, 0], [0, -1]),
+        (spaces.MultiDiscrete([2, 3]), [5, 1], [[1, 2], [0, 1]]),
+        (spaces.MultiBinary(2), [2, 3], [[1, 0], [1, 1]]),
+        (spaces.Box(-1, 1, (2,), np.float64), [[0.5, -9], [1, 0]], [[0.5, -1], [1, 0]]),
+        (spaces.Box(-1, 1, (1, 2)), [[0.5, -9], [1, 0]], [[[0.5, -1]], [[1, 0]]]),
+        (spaces.Box(-1, 1, ()), [[0.5], [3]], [0.5, 1]),
+    ],
+)
+def test_actions_are_of_the_space(space, actions, expected, monkeypatch):
+    monkeypatch.setattr(Acting, "action_space", space)
+    monkeypatch.setitem(gym.registry, "Act-v0", EnvSpec("Act-v0", Acting, max_episode_steps=5))
+    lanes = LaneVectorEnv("Act-v0", 2)
+    lanes.reset()
+    lanes.step(np.array(actions))
+    for env, action in zip(lanes.envs, expected, strict=True):
+        (seen,) = env.unwrapped.seen  # pyright: ignore
+        assert space.contains(seen)
+        if isinstance(space, spaces.Discrete):
+            assert type(seen) is int
+            assert seen == action
+        else:
+            assert seen.flags.owndata
+            assert seen.dtype == space.dtype
+            assert seen.tolist() == action

@@ -171,3 +171,13 @@ def test_constructor_arguments_are_passed_on():
     env = make_env("FrozenLake-v1", trials=2, kwargs={"is_slippery": False})
     td = env.reset().set("action", torch.tensor([2, 2]))  # right, and nothing slips
     assert env.step(td)["next", "observation"].argmax(-1).tolist() == [1, 1]
+
+
+def test_the_whole_message_of_a_constructor_is_one_line(monkeypatch):
+    def build(self):
+        raise ValueError("render_mode must be\none of rgb_array")
+
+    monkeypatch.setattr(Odd, "__init__", build, raising=False)
+    monkeypatch.setitem(gym.registry, "Odd-v0", EnvSpec("Odd-v0", Odd, max_episode_steps=5))
+    with pytest.raises(ValueError, match="ValueError: render_mode must be one of rgb_array"):
+        make_env("Odd-v0")

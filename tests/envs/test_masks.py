@@ -123,3 +123,26 @@ def test_what_is_not_finite_is_refused_where_it_appears(masked, broken, message)
     episodes = (lanes.reset() if t in (0, 3) else lanes.step(np.zeros(2, int)) for t in range(6))
     with pytest.raises(ValueError, match=message):
         list(episodes)
+
+
+class LateMask(gym.Env):
+    """A mask that comes with steps, and not with the reset."""
+
+    observation_space, action_space = Masked.observation_space, spaces.Discrete(2)
+
+    def reset(self, *, seed=None, options=None):
+        return np.zeros(2, np.float32), {}
+
+    def step(self, action):
+        assert action == 0
+        return np.zeros(2, np.float32), 1.0, False, False, {"action_mask": [1, 0]}
+
+
+def test_a_mask_that_comes_with_steps_only_is_obeyed(monkeypatch):
+    spec = EnvSpec("Late-v0", LateMask, max_episode_steps=5)
+    monkeypatch.setitem(gym.registry, "Late-v0", spec)
+    lanes = LaneVectorEnv("Late-v0", 1)
+    assert lanes.has_masks
+    for _ in range(2):
+        assert lanes.reset()[1]["action_mask"].tolist() == [[True, True]]
+        assert lanes.step(np.zeros(1, int))[-1]["action_mask"].tolist() == [[True, False]]

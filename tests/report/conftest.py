@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -109,12 +110,19 @@ def write_job(
     return job
 
 
-@pytest.fixture(autouse=True)
-def _only_svg(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures as PNG and PDF take most of the time of a report; ``made`` and a marker draw them."""
-    if request.node.get_closest_marker("every_format") is None:
+@contextmanager
+def only_svg() -> Iterator[None]:
+    """Figures as PNG and PDF take most of the time of a report; ``test_render`` draws them."""
+    with pytest.MonkeyPatch.context() as patch:
         for name in ("to_png", "to_pdf"):
-            monkeypatch.setattr(formats, name, lambda figure: b"")
+            patch.setattr(formats, name, lambda figure: b"")
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _only_svg() -> Iterator[None]:
+    with only_svg():
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -180,7 +188,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
     study = write_study(tmp_path_factory.mktemp("study"))
     out = tmp_path_factory.mktemp("out")
-    page, gaps = build_report([study], out)
+    with only_svg():
+        page, gaps = build_report([study], out)
     return Made(study, out, page.read_text(encoding="utf-8"), gaps)
 
 

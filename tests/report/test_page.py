@@ -137,7 +137,6 @@ def test_an_experiment_cannot_lead_out_of_the_folder(tmp_path, make_job):
     assert all((tmp_path / "a" / "b" / "out") in p.parents for p in made)
 
 
-@pytest.mark.every_format
 def test_a_report_made_twice_is_the_same_byte_for_byte(tmp_path, made):
     again = tmp_path / "again"
     build_report([made.study], again)

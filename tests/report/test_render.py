@@ -1,6 +1,6 @@
 from matplotlib.figure import Figure
 
-from trl_explore.report.formats import to_png, to_svg
+from trl_explore.report.formats import to_pdf, to_png, to_svg
 from trl_explore.report.style import visual_language
 
 
@@ -13,9 +13,10 @@ def figure(text: str = "a") -> Figure:
     return made
 
 
-def test_svg_and_png_are_the_same_bytes_each_time():
-    assert to_svg(figure()) == to_svg(figure())
-    assert to_png(figure()) == to_png(figure())
+def test_every_format_has_the_same_bytes_each_time():
+    for write in (to_svg, to_png, to_pdf):
+        assert write(figure()) == write(figure())
+    assert to_pdf(figure()).startswith(b"%PDF")
 
 
 def test_svg_has_no_date_and_no_version():

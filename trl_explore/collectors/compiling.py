@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
-from tensordict.nn import TensorDictSequential
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import nn
 from torchrl.data import OneHot
 from torchrl.envs import CatFrames, DTypeCastTransform, Transform, TransformedEnv
 
 from trl_explore.checks import holds
-from trl_explore.collectors.networks import Network
-from trl_explore.policies.layers import has_hooks
-from trl_explore.strategies import ContinuousMixtureStrategy, MixtureStrategy
+from trl_explore.collectors.networks import Network, gaussian_of, network_of
+from trl_explore.policies.layers import has_hooks, is_one_hot, n_actions, n_dims
+from trl_explore.strategies import BaseStrategy, ContinuousMixtureStrategy, MixtureStrategy
 
 PASSING = [kind._inv_call for kind in (Transform, CatFrames, DTypeCastTransform)]
 """The methods that leave what the environment gets as it is, without ``in_keys_inv``."""
@@ -68,12 +68,28 @@ def has_inverse(transform: Transform) -> bool:
     return bool(transform.in_keys_inv) or type(transform)._inv_call not in PASSING
 
 
-def names(policy: TensorDictSequential) -> str:
-    """The class names of the modules before the strategy."""
-    return ", ".join(type(module).__name__ for module in policy.module[:-1])
+def compilable_policy(
+    env: TransformedEnv, policy: TensorDictSequential, n_features: int
+) -> tuple[Network, list[nn.Parameter]]:
+    """The network of a policy and its parameters, if its strategy's mixture is compiled too.
+
+    Raises:
+        NotCompilableError: with the reason, if they are not.
+    """
+    first, strategy = cast(TensorDictModuleBase, policy[0]), cast(BaseStrategy, policy[-1])
+    continuous, found = strategy.actions == "continuous", None
+    if len(policy) == 2:
+        found = gaussian_of(first) if continuous else network_of(first, one_hot=is_one_hot(env))
+    if found is None:
+        kinds = ", ".join(type(module).__name__ for module in policy.module[:-1])
+        raise NotCompilableError(f"it does not support the policy {kinds}")
+    check_mixture(strategy, continuous=continuous)
+    n_out = n_dims(env) if continuous else n_actions(env)
+    _check_weights(*found, env.batch_size[0], n_features, n_out)
+    return found
 
 
-def check_weights(
+def _check_weights(
     network: Network, parameters: Sequence[nn.Parameter], trials: int, n_in: int, n_out: int
 ) -> None:
     """Compiled code does not check bounds, so sizes and types are validated here.

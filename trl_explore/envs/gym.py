@@ -109,10 +109,10 @@ def _one_line(id: str, what: str) -> Iterator[None]:
         ) from error
     except ModuleNotFoundError as error:
         # Either the module in the id is missing, or a package that the environment imports.
-        module, known = id.rpartition(":")[0], f"environment {id!r} needs a missing package"
+        problem, module = f"environment {id!r} needs a missing package", id.rpartition(":")[0]
         if error.name and f"{module}.".startswith(f"{error.name}."):
-            known = f"unknown environment id {id!r}"
-        raise ValueError(f"{known}: {first_line(error)}") from error
+            problem = f"unknown environment id {id!r}"
+        raise ValueError(f"{problem}: {first_line(error)}") from error
     except gym.error.Error as error:
         raise ValueError(f"unknown environment id {id!r}: {first_line(error)}") from error
     except (Exception, SystemExit) as error:

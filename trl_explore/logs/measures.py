@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.logs.runs import Run
 from trl_explore.statistics.comparisons import Measure
-from trl_explore.statistics.estimates import LEVEL, Estimate, pass_rate
+from trl_explore.statistics.estimates import Estimate, pass_rate
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.samples import Kind, Sample
 
@@ -239,9 +239,7 @@ def _notes(found: Sequence[Configuration], end: float, horizon: float | None) ->
     return notes
 
 
-def profile(
-    values: NDArray[np.float64], scores: NDArray[np.float64], *, level: float = LEVEL
-) -> list[Estimate]:
+def profile(values: NDArray[np.float64], scores: NDArray[np.float64]) -> list[Estimate]:
     """The performance profile: the share of runs [n] that score more than each of scores [m].
 
     Each with Wilson's interval, which is pointwise.
@@ -251,7 +249,7 @@ def profile(
     >>> profile(np.array([1.0, 2.0, 3.0, 4.0]), np.array([2.0]))[0].value
     0.5
     """
-    return [pass_rate(int((values > score).sum()), len(values), level=level) for score in scores]
+    return [pass_rate(int((values > score).sum()), len(values)) for score in scores]
 
 
 def seeds_text(runs: Sequence[Run]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import torch
 from tensordict.nn import TensorDictModule
@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase
 
 from trl_explore.checks import check_flag, check_number
 from trl_explore.numerics.layers import lane_linear
-from trl_explore.policies.layers import LaneLinear, LaneMLP, layer_sizes, n_dims
+from trl_explore.policies.layers import LaneLinear, LaneMLP, Network, layer_sizes, n_dims
 
 LARGEST_LOG = 20.0
 """Log-scales are kept within ±20; beyond that, an action or density may not be finite."""
@@ -81,14 +81,9 @@ class GaussianMLPPolicy(TensorDictModule):
     Args:
         env: the environment; its specs give the layer sizes, its batch size the number of trials.
         hidden: the units of every hidden layer; an empty list makes the mean linear.
-        activation: "tanh" or "relu".
-        bias: whether the layers have biases, initially 0.
-        init: the initial weights, a name from ``initial_weights``.
-        output_gain: factor of the last layer's initial weights; if small, the mean starts near 0.
         initial_scale: the initial standard deviation > 0, one number or one per dimension.
         state_dependent_scale: whether the scale depends on the observation.
-        seed: seed of the job.
-        first_trial: trial index of row 0.
+        network: other arguments of ``LaneMLP``; small ``output_gain`` puts the first mean near 0.
 
     Raises:
         ValueError: if the actions are not continuous, or an argument is out of range.
@@ -107,30 +102,16 @@ class GaussianMLPPolicy(TensorDictModule):
         env: EnvBase,
         *,
         hidden: Sequence[int] = (32, 32),
-        activation: str = "tanh",
-        bias: bool = True,
-        init: str = "glorot_uniform",
-        output_gain: float = 1.0,
         initial_scale: float | Sequence[float] = 1.0,
         state_dependent_scale: bool = False,
-        seed: int = 0,
-        first_trial: int = 0,
+        **network: Unpack[Network],
     ) -> None:
         (trials,) = env.batch_size
         dims = n_dims(env)
-        network = LaneMLP(
-            layer_sizes(env, hidden, dims),
-            trials,
-            activation,
-            init,
-            seed,
-            first_trial,
-            bias=bias,
-            output_gain=output_gain,
-        )
+        mlp = LaneMLP(layer_sizes(env, hidden, dims), trials, **network)
         dependent = check_flag("state_dependent_scale", state_dependent_scale)
         first = _log_scale(initial_scale, dims)
-        module = LaneGaussian(network, first, state_dependent=dependent)
+        module = LaneGaussian(mlp, first, state_dependent=dependent)
         super().__init__(module, in_keys=["observation", "trial"], out_keys=["loc", "scale"])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, TypedDict, cast
 
 import numpy as np
 import torch
@@ -188,6 +188,17 @@ class LaneLinear(nn.Module):
     def forward(self, observation: Tensor, trial: Tensor) -> Tensor:
         """[*batch, n_in], [*batch] -> [*batch, n_out]."""
         return lane_linear(observation, self.weight, trial, self.bias)
+
+
+class Network(TypedDict, total=False):
+    """The arguments of ``LaneMLP`` that policies take too."""
+
+    activation: str
+    init: str
+    seed: int
+    first_trial: int
+    bias: bool
+    output_gain: float
 
 
 class LaneMLP(nn.Module):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 from tensordict.nn import TensorDictModule
 from torch import nn
@@ -13,6 +13,7 @@ from trl_explore.checks import settle
 from trl_explore.policies.layers import (
     LaneLinear,
     LaneMLP,
+    Network,
     initial_weights,
     is_one_hot,
     layer_sizes,
@@ -107,13 +108,8 @@ class MLPPolicy(TensorDictModule):
     Args:
         env: the environment; its specs give the layer sizes, its batch size the number of trials.
         hidden: the units of every hidden layer; an empty list makes the policy linear.
-        activation: "tanh" or "relu".
-        bias: whether the layers have biases, initially 0.
-        init: the initial weights, a name from ``initial_weights``.
-        output_gain: factor of the last layer's initial weights; if small, π is initially near
+        network: other arguments of ``LaneMLP``; if ``output_gain`` is small, π is initially near
             uniform.
-        seed: seed of the job.
-        first_trial: trial index of row 0.
 
     Raises:
         ValueError: if the actions are not ``Categorical``, or an argument is out of range.
@@ -128,26 +124,8 @@ class MLPPolicy(TensorDictModule):
     actions = "discrete"
 
     def __init__(
-        self,
-        env: EnvBase,
-        *,
-        hidden: Sequence[int] = (32, 32),
-        activation: str = "tanh",
-        bias: bool = True,
-        init: str = "glorot_uniform",
-        output_gain: float = 1.0,
-        seed: int = 0,
-        first_trial: int = 0,
+        self, env: EnvBase, *, hidden: Sequence[int] = (32, 32), **network: Unpack[Network]
     ) -> None:
         (trials,) = env.batch_size
-        network = LaneMLP(
-            layer_sizes(env, hidden, n_actions(env)),
-            trials,
-            activation,
-            init,
-            seed,
-            first_trial,
-            bias=bias,
-            output_gain=output_gain,
-        )
-        super().__init__(network, in_keys=["observation", "trial"], out_keys=["logits"])
+        module = LaneMLP(layer_sizes(env, hidden, n_actions(env)), trials, **network)
+        super().__init__(module, in_keys=["observation", "trial"], out_keys=["logits"])

@@ -233,7 +233,7 @@ def _heights(
     played: Mapping[str, NDArray[Any]],
     trained: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]],
 ) -> Heights | None:
-    """The heights of a job's curves; None unless every trial has evaluations that serve."""
+    """The heights of a job's curves; None unless every trial has the evaluations they need."""
     trial, iteration, score = played["trial"], played["iteration"], played["score"]
     names, learned = curve_means(trial, iteration, score, job.outcomes.cap)
     behaved = same_weights((trial, iteration), trained)

@@ -5,28 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from trl_explore import thesis
 from trl_explore.names import experiment, experiment_rank
+from trl_explore.report import layouts, sentences
 from trl_explore.report.crossings import Run
 from trl_explore.report.curves import Traces, read_traces
 from trl_explore.report.decomposition import Decomposition, decompose
 from trl_explore.report.groups import Group, group_jobs
-from trl_explore.report.layouts import (
-    option_sentences,
-    plane_sentences,
-    size_sentence,
-)
 from trl_explore.report.loading import Gap, Loaded, Say, silent
 from trl_explore.report.questions import Question
 from trl_explore.report.selecting import asked, own_claims, without
-from trl_explore.report.sentences import (
-    alone,
-    answer,
-    confounded_sentence,
-    question_sentence,
-    score_sentence,
-    verdicts,
-    warning,
-)
 from trl_explore.report.study_file import StudyFile
 from trl_explore.report.tables import uncapital
 from trl_explore.report.why import headline
@@ -35,16 +23,6 @@ from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import SharedTrials, shared_trials
 from trl_explore.statistics.summary import Summary, summarise
-from trl_explore.thesis import (
-    CAUSES,
-    CLAIMS,
-    NOT_MEASURED,
-    Checked,
-    Reexamined,
-    Study,
-    check_claims,
-    reexamine,
-)
 
 MOST_ANSWERS = 8
 """The most questions, in addition to the main one, in the answer."""
@@ -118,9 +96,9 @@ class Evidence:
 
     study: StudyFile
     groups: list[GroupEvidence]
-    checked: list[Checked]
-    reexamined: list[Reexamined]
-    causes: list[Checked]
+    checked: list[thesis.Checked]
+    reexamined: list[thesis.Reexamined]
+    causes: list[thesis.Checked]
     decompositions: list[Decomposition]
     answer: tuple[str, ...]
     shared: list[SharedTrials]
@@ -148,18 +126,18 @@ def gather(loaded: Loaded, study: StudyFile | None = None, say: Say = silent) ->
                               not any(s.converged for s in p.summaries)))  # fmt: skip
     outcomes = [job.outcomes for job in jobs]
     timed = {f"{j.outcomes.experiment}/{j.outcomes.name}": j.timing for j in reversed(jobs)}
-    data = Study(
+    data = thesis.Study(
         outcomes,
         seconds={key: t.seconds for key, t in timed.items() if t is not None},
         timed_trials={key: t.trial for key, t in timed.items() if t is not None},
         level=study.level,
     )
     say(0.4, "statements")
-    claims = CLAIMS
+    claims = thesis.CLAIMS
     if isinstance(study.claims, tuple):
         claims = own_claims(study.claims, study.path.name if study.path else "study")
-    checked = check_claims(data, claims)
-    if study.claims == "thesis" and all(c.finding.verdict == NOT_MEASURED for c in checked):
+    checked = thesis.check_claims(data, claims)
+    if study.claims == "thesis" and all(c.finding.verdict == thesis.NOT_MEASURED for c in checked):
         checked = []  # none of the thesis's statements applies
     why = any(experiment(o.experiment).why for o in outcomes)
     runs = []
@@ -172,13 +150,13 @@ def gather(loaded: Loaded, study: StudyFile | None = None, say: Say = silent) ->
         study=study,
         groups=parts,
         checked=checked,
-        reexamined=reexamine(data) if why else [],
-        causes=check_claims(data, CAUSES) if why else [],
+        reexamined=thesis.reexamine(data) if why else [],
+        causes=thesis.check_claims(data, thesis.CAUSES) if why else [],
         decompositions=decompositions,
         answer=(
             *headline(decompositions),
             *_answers(parts),
-            *verdicts(checked, "thesis" if study.claims in (None, "thesis") else "study"),
+            *sentences.verdicts(checked, "thesis" if study.claims in (None, "thesis") else "study"),
         ),
         shared=shared_trials(outcomes),
         gaps=gaps,
@@ -203,7 +181,7 @@ def _answers(parts: Sequence[GroupEvidence]) -> tuple[str, ...]:
         *(f"{where}{s}" if k == 0 else s for k, s in enumerate(main.sentences)),
         *said[:MOST_ANSWERS],
         *([f"The sections below answer {more} more questions."] if more > 0 else []),
-        *alone([p.group for p in others if p.single]),
+        *sentences.alone([p.group for p in others if p.single]),
     )
 
 
@@ -250,13 +228,13 @@ def _measured(group: Group, traces: Traces, study: StudyFile) -> GroupEvidence:
         sentences=(
             *(_sentences(group, comparisons, level) if timed and not answered else ()),
             *(s for a in answered if timed for s in a.sentences),
-            *(confounded_sentence(c, group) for c in group.confounds),
+            *(sentences.confounded_sentence(c, group) for c in group.confounds),
             *(
                 ()
                 if group.plane is not None or group.sized
-                else score_sentence(comparisons if timed else None, scores, group)
+                else sentences.score_sentence(comparisons if timed else None, scores, group)
             ),
-            *warning(group, comparisons, level),
+            *sentences.warning(group, comparisons, level),
         ),
         traces=traces,
         scores=scores,
@@ -275,20 +253,22 @@ def _answered(group: Group, comparisons: list[Comparison], level: float) -> list
         layout = group.crossed
         if layout is not None and not group.chosen and question.of == layout.of:
             cells = {n: (layout.rows[r], layout.options[o]) for (r, o), n in layout.cells.items()}
-            found.append(Answered(question, comparisons, option_sentences(comparisons, cells)))
+            found.append(
+                Answered(question, comparisons, layouts.option_sentences(comparisons, cells))
+            )
         elif len(question.pairs) <= MOST_PAIRS:
             table = compare_pairs([(by_name[a], by_name[b]) for a, b in question.pairs],
                                   level=level)  # fmt: skip
-            said = question_sentence(question, table, by_name)
-            found.append(Answered(question, table, (said,)))
+            said = (sentences.question_sentence(question, table, by_name),)
+            found.append(Answered(question, table, said))
     return sorted(found, key=lambda a: -effect(a.comparisons))
 
 
 def _sentences(group: Group, comparisons: Sequence[Comparison], level: float) -> tuple[str, ...]:
     if group.sized:
-        return (size_sentence(group.configurations),)
+        return (layouts.size_sentence(group.configurations),)
     if group.plane is not None:
-        return plane_sentences(group.configurations, comparisons, group.labels, level)
+        return layouts.plane_sentences(group.configurations, comparisons, group.labels, level)
     if group.confounds:
         return ()
-    return answer(group.configurations, comparisons, labels=group.labels, level=level)
+    return sentences.answer(group.configurations, comparisons, labels=group.labels, level=level)

@@ -22,10 +22,12 @@ from trl_explore.report.tables import (
     Record,
     Table,
     estimate_cell,
+    estimates,
     figure,
     interval,
     negated,
     p_value,
+    plain_columns,
     rate_cell,
 )
 from trl_explore.statistics.comparisons import Comparison, Measure, compare_all, too_few
@@ -220,7 +222,7 @@ def runs_table(runs: Sequence[Run]) -> Table:
     ]  # fmt: skip
     columns = [
         Column("run", "run", lambda r: str(r["run"]), wide=True),
-        Column("configuration", "configuration", lambda r: str(r["configuration"])),
+        *plain_columns("configuration"),
         Column("environment", "environment", lambda r: str(r["environment"] or "unknown")),
         Column("seed", "seed", lambda r: "unknown" if r["seed"] is None else str(r["seed"]), True),
         Column("points", "points", lambda r: f"{r['points']:,}", True),
@@ -241,19 +243,18 @@ def groups_table(runs: Sequence[Run]) -> Table:
         }
         for (name, configuration), group in by_configuration(runs).items()
     ]  # fmt: skip
+
+    def last_step(r: Record) -> str:
+        low, high = f"{r['first_last']:,.0f}", f"{r['last_last']:,.0f}"
+        return high if low == high else f"{low} to {high}"
+
     columns = [
-        Column("environment", "environment", lambda r: str(r["environment"])),
-        Column("configuration", "configuration", lambda r: str(r["configuration"])),
+        *plain_columns("environment", "configuration"),
         Column("runs", "runs", lambda r: str(r["runs"]), True),
-        Column("seeds", "seeds", lambda r: str(r["seeds"])),
-        Column("last_last", "last step", _range, True),
+        *plain_columns("seeds"),
+        Column("last_last", "last step", last_step, True),
     ]
     return Table("configurations", "Configurations", columns, records)
-
-
-def _range(r: Record) -> str:
-    low, high = f"{r['first_last']:,.0f}", f"{r['last_last']:,.0f}"
-    return high if low == high else f"{low} to {high}"
 
 
 def summary_table(task: Task, id: str) -> Table:
@@ -276,7 +277,7 @@ def summary_table(task: Task, id: str) -> Table:
         record |= {"final": sample_mean(final), "iqm": iqm, "area": sample_mean(c.sample(c.area))}
         records.append(flat(record))
     columns = [
-        Column("configuration", "configuration", lambda r: str(r["configuration"])),
+        *plain_columns("configuration"),
         Column("n", "runs", lambda r: str(r["n"]), True),
     ]
     if task.threshold is not None:
@@ -285,11 +286,12 @@ def summary_table(task: Task, id: str) -> Table:
             Column("median", "median steps", estimate_cell("median", figure, "not reached"), True),
             Column("mean_steps", "mean steps", estimate_cell("mean_steps"), True),
         ]
-    columns += [
-        Column("final", "final score, mean", estimate_cell("final"), True),
-        Column("iqm", "final score, IQM", estimate_cell("iqm"), True),
-        Column("area", "area under the curve", estimate_cell("area"), True),
-    ]
+    titles = {
+        "final": "final score, mean",
+        "iqm": "final score, IQM",
+        "area": "area under the curve",
+    }
+    columns += estimates(titles)
     title = f"Configurations, with {100 * LEVEL:g} % intervals"
     return Table(f"{id}-configurations", title, columns, records, main=True, kind="cards")
 

@@ -20,6 +20,7 @@ from trl_explore.report.tables import (
     estimate_cell,
     figure,
     p_cell,
+    plain_columns,
     rate_cell,
 )
 from trl_explore.statistics.comparisons import Comparison
@@ -55,7 +56,7 @@ def summary_table(evidence: GroupEvidence) -> Table:
         return Column(key, title, estimate_cell(key, *text), True)
 
     columns = [
-        Column("configuration", "configuration", lambda r: r["configuration"]),
+        *plain_columns("configuration"),
         Column("pass_rate", group.did, rate_cell(), True),
         column("median", "median iterations", _count, "not reached"),
         column("restricted_mean", "mean iterations", _count),
@@ -203,14 +204,12 @@ def jobs_table(evidence: Evidence) -> Table:
                 })  # fmt: skip
     unique = list({(r["experiment"], r["job"], str(r)): r for r in records}.values())
     columns = [
-        Column("experiment", "experiment", lambda r: str(r["experiment"])),
-        Column("configuration", "configuration", lambda r: r["configuration"]),
+        *plain_columns("experiment", "configuration"),
         Column("seed", "seed", lambda r: str(r["seed"]), True),
         Column("trials", "trials", lambda r: f"{r['trials']:,}", True),
         Column("first_trial", "indices", lambda r: f"{r['first_trial']}–{r['last_trial']}", True),
         Column("cap", "cap", lambda r: f"{r['cap']:,}", True),
-        Column("environment", "environment", lambda r: str(r["environment"])),
-        Column("collector", "collector", lambda r: str(r["collector"])),
+        *plain_columns("environment", "collector"),
         Column("command", "command", lambda r: r["command"], wide=True),
     ]
     return Table("jobs", "Jobs", columns, unique)

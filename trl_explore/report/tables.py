@@ -47,6 +47,16 @@ class Column:
         return plain(record.get(self.key))
 
 
+def plain_columns(*keys: str) -> list[Column]:
+    """Columns of values as they are, whose title is their key."""
+    return [Column(key, key, lambda r, key=key: str(r[key])) for key in keys]
+
+
+def estimates(titles: Mapping[str, str]) -> list[Column]:
+    """Columns of estimates with their intervals: key -> title."""
+    return [Column(key, title, estimate_cell(key), True) for key, title in titles.items()]
+
+
 @dataclass(frozen=True)
 class Table:
     """Records with all numbers, and the columns that readers see.

@@ -16,6 +16,7 @@ from trl_explore.report.tables import (
     interval,
     p_value,
     percent,
+    plain_columns,
     some,
 )
 from trl_explore.statistics.estimates import Estimate, flat
@@ -189,7 +190,7 @@ def _main(found: Sequence[Decomposition]) -> Table:
 
     times = " or ".join(sorted({QUANTITIES[q] for q in quantity.values()}))
     columns = [
-        Column("strategy", "strategy", lambda r: r["strategy"]),
+        *plain_columns("strategy"),
         of("handicap", "acting: score in training, and without exploration", _acting),
         part("gap", f"{times}: difference from softmax", _gap),
         part("bias", "bias: its share", _bias),
@@ -200,7 +201,7 @@ def _main(found: Sequence[Decomposition]) -> Table:
         columns.insert(5, of("passing_bias", "bias: its share by passing",
                              lambda d: _bias(d.parts.get("passing"))))  # fmt: skip
     if len(environments) > 1:
-        columns.insert(0, Column("environment", "environment", lambda r: r["environment"]))
+        columns[:0] = plain_columns("environment")
     title = "Acting, bias and data: every strategy against softmax"
     records = [_record(d, quantity[d.environment]) for d in found]
     return Table("why-parts", title, columns, records, main=True, kind="cards")
@@ -275,8 +276,7 @@ def _quantities(found: Sequence[Decomposition]) -> Table:
         return Column(key, title, cell, True)
 
     columns = [
-        Column("environment", "environment", lambda r: r["environment"]),
-        Column("strategy", "strategy", lambda r: r["strategy"]),
+        *plain_columns("environment", "strategy"),
         Column("quantity", "quantity", lambda r: QUANTITIES[r["quantity"]]),
         of("plain", "uncorrected", figure),
         of("reference", "softmax", figure),

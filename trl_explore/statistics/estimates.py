@@ -52,8 +52,14 @@ class Estimate:
         return self.below(low) or self.above(high)
 
     def within(self, least: float, most: float) -> Estimate:
-        """The estimate of a quantity that lies in [least, most]: the interval is cut off there."""
-        return replace(self, low=max(self.low, least), high=min(self.high, most))
+        """The estimate of a quantity that lies in [least, most]: the interval is cut off there.
+
+        >>> Estimate(0.9, 0.5, 1.3).within(0.0, 1.0)
+        Estimate(value=0.9, low=0.5, high=1.0, level=0.95)
+        """
+        # A wrapper of the environment may have changed its rewards: the value stays inside.
+        low, high = min(least, self.value), max(most, self.value)
+        return replace(self, low=max(self.low, low), high=min(self.high, high))
 
 
 def check_level(level: float) -> None:

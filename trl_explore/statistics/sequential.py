@@ -56,20 +56,20 @@ class Verdict:
     look: int = 0
 
 
-def planned_looks(first: int, most: int, *, growth: float = GROWTH) -> list[int]:
-    """The number of trials of each look: ``first``, then ``growth`` times as many, up to ``most``.
+def planned_looks(first: int, most: int) -> list[int]:
+    """The number of trials of each look: ``first``, then ``GROWTH`` times as many, up to ``most``.
 
     Raises:
-        ValueError: not 2 ≤ first ≤ most, or growth ≤ 1.
+        ValueError: not 2 ≤ first ≤ most.
 
     >>> planned_looks(20, 100)
     [20, 30, 45, 67, 100]
     """
-    if not 2 <= first <= most or not growth > 1:
+    if not 2 <= first <= most:
         raise ValueError(f"first={first}, most={most}: 2 ≤ first ≤ most is needed")
     looks = [first]
-    while looks[-1] * growth < most:
-        looks.append(max(int(looks[-1] * growth), looks[-1] + 1))
+    while looks[-1] * GROWTH < most:
+        looks.append(max(int(looks[-1] * GROWTH), looks[-1] + 1))
     return looks if looks[-1] == most else [*looks, most]
 
 

@@ -291,6 +291,6 @@ def more(verdict: Verdict, needed: float | None, n: int) -> float | None:
     return max(needed, n + 1)
 
 
-def _join(texts: Sequence[str], most: int = 4) -> str:
-    rest = len(texts) - most
-    return "; ".join(texts[:most]) + (f"; and {rest} more" if rest > 0 else "")
+def _join(texts: Sequence[str]) -> str:
+    rest = len(texts) - 4
+    return "; ".join(texts[:4]) + (f"; and {rest} more" if rest > 0 else "")

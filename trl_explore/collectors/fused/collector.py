@@ -6,7 +6,6 @@ from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.spaces import Discrete
 from gymnasium.wrappers import (
     DtypeObservation,
     FlattenObservation,
@@ -24,20 +23,17 @@ from trl_explore.collectors.collector import EpisodeCollector, Rollout
 from trl_explore.collectors.compiling import (
     Columns,
     NotCompilableError,
-    check_mixture,
-    check_weights,
+    compilable_policy,
     has_mask,
     mixture_array,
-    names,
 )
 from trl_explore.collectors.fused.loop import compile_loop
 from trl_explore.collectors.fused.memory import scratch
-from trl_explore.collectors.networks import Network, arrays, network_of
+from trl_explore.collectors.networks import Network, arrays
 from trl_explore.envs import lane_env
 from trl_explore.envs.kernels import Kernel, kernel_of
 from trl_explore.envs.make import own_transforms
 from trl_explore.numerics.streams import Stream, key
-from trl_explore.policies.layers import is_one_hot
 from trl_explore.strategies import MixtureStrategy
 
 WRAPPERS = (TimeLimit, OrderEnforcing, PassiveEnvChecker, FlattenObservation, DtypeObservation)
@@ -160,10 +156,8 @@ def compilable(
     for transform in own_transforms(env):
         name = type(transform).__name__
         raise NotCompilableError(f"it does not support the transform {name}")
-    compiled = network_of(policy[0], one_hot=is_one_hot(env)) if len(policy) == 2 else None
-    if compiled is None:
-        raise NotCompilableError(f"it does not support the policy {names(policy)}")
-    check_mixture(policy[1])
+    features = lanes.single_observation_space.shape or ()
+    network = compilable_policy(env, policy, *features)
     try:
         kernel = kernel_of(lane)
     except LookupError as error:
@@ -171,11 +165,9 @@ def compilable(
     if has_mask(env) and kernel.mask is None:
         raise NotCompilableError(f"the kernel of {type(lane).__name__} has no action mask")
     sizes = (kernel.n_actions, kernel.n_features)
-    n_actions = int(cast(Discrete, lanes.single_action_space).n)
-    own = (n_actions, *(lanes.single_observation_space.shape or ()))
+    own = (int(getattr(lanes.single_action_space, "n", 0)), *features)
     if own != sizes:
         raise NotCompilableError(
             f"the kernel has (actions, features) {sizes}, but the environment has {own}"
         )
-    check_weights(*compiled, lanes.num_envs, *sizes[::-1])
-    return kernel, *compiled
+    return kernel, *network

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torch import nn
+from tensordict.nn import TensorDictSequential
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -17,14 +16,12 @@ from trl_explore.collectors.collector import EpisodeCollector, Rollout
 from trl_explore.collectors.compiling import (
     Columns,
     NotCompilableError,
-    check_mixture,
-    check_weights,
+    compilable_policy,
     grown,
     has_mask,
     mixture_array,
-    names,
 )
-from trl_explore.collectors.networks import Network, arrays, gaussian_of, network_of
+from trl_explore.collectors.networks import arrays
 from trl_explore.collectors.stepping.acting import Form
 from trl_explore.collectors.stepping.modules import Modules, Transformed
 from trl_explore.collectors.stepping.turn import (
@@ -39,7 +36,7 @@ from trl_explore.collectors.stepping.turn import (
 )
 from trl_explore.envs.make import own_transforms
 from trl_explore.numerics.streams import Stream, key
-from trl_explore.policies.layers import is_one_hot, n_actions, n_dims
+from trl_explore.policies.layers import n_actions, n_dims
 from trl_explore.strategies import ContinuousMixtureStrategy, MixtureStrategy
 
 FIRST_FRAMES = 64
@@ -71,7 +68,7 @@ class SteppingCollector(EpisodeCollector):
         self._continuous = self.strategy.actions == "continuous"
         network, self._parameters, self.why_modules = None, [], None
         try:
-            network, self._parameters = self._compilable()
+            network, self._parameters = compilable_policy(env, policy, self._observation.shape[1])
         except NotCompilableError as error:
             self.why_modules = str(error)
         self._form = Form(
@@ -90,24 +87,6 @@ class SteppingCollector(EpisodeCollector):
         self._columns = Columns(
             form.n_features, n_masks=form.n_masks, n_dims=form.n_dims, exact=form.exact
         )
-
-    def _compilable(self) -> tuple[Network, list[nn.Parameter]]:
-        """The network and parameters of the policy, if policy and strategy are compiled.
-
-        Raises:
-            NotCompilableError: with the reason, if they are not.
-        """
-        policy = cast(TensorDictModuleBase, self.policy[0])
-        check_mixture(self.strategy, continuous=self._continuous)
-        if self._continuous:
-            compiled, n_out = gaussian_of(policy), n_dims(self.env)
-        else:
-            compiled = network_of(policy, one_hot=is_one_hot(self.env))
-            n_out = n_actions(self.env)
-        if compiled is None or len(self.policy) != 2:
-            raise NotCompilableError(f"the policy {names(self.policy)}")
-        check_weights(*compiled, self.trials, self._observation.shape[1], n_out)
-        return compiled
 
     def _bounds(self) -> tuple[NDArray[np.float64], ...]:
         """The bounds of a continuous action, and the logarithm of their volume."""

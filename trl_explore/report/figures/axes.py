@@ -179,11 +179,9 @@ def line_count(label: str, width: int = 21) -> int:
     return wrapped(label, width).count("\n") + 1
 
 
-def handle(style: Style, label: str, *, line: bool = True) -> Line2D:
+def handle(style: Style, label: str) -> Line2D:
     """A legend entry in the style of a configuration."""
-    return Line2D(
-        [], [], color=style.color, marker=style.marker, ls=style.line if line else "", label=label
-    )
+    return Line2D([], [], color=style.color, marker=style.marker, ls=style.line, label=label)
 
 
 def rows_axis(

@@ -12,17 +12,7 @@ from matplotlib.lines import Line2D
 
 from trl_explore.names import strategy_label
 from trl_explore.report.evidence import GroupEvidence
-from trl_explore.report.figures.axes import (
-    DASHED,
-    Shown,
-    few,
-    handle,
-    kind,
-    legend_above,
-    new_figure,
-    plain_numbers,
-    whole_study,
-)
+from trl_explore.report.figures import axes
 from trl_explore.report.figures.panels import fill_panels
 from trl_explore.report.layouts import Lines, lines_by_size, size_of, size_sentence
 from trl_explore.report.style import INK, MUTED, Style, styles
@@ -61,9 +51,9 @@ def plot_epsilon(
     ax.set_xlabel("iteration")
     ax.set_ylabel("ε: probability of a random action")
     ax.grid()
-    plain_numbers(ax.xaxis)
-    handles = [handle(s, f"{r:g}") for r, s in zip(rates, styles, strict=True)]
-    legend_above(ax, handles, columns=min(4, len(rates)), title="decay rate")
+    axes.plain_numbers(ax.xaxis)
+    handles = [axes.handle(s, f"{r:g}") for r, s in zip(rates, styles, strict=True)]
+    axes.legend_above(ax, handles, columns=min(4, len(rates)), title="decay rate")
 
 
 def _rates(e: GroupEvidence) -> dict[float, str]:
@@ -76,15 +66,15 @@ def _rates(e: GroupEvidence) -> dict[float, str]:
     }
 
 
-@kind(
+@axes.kind(
     "epsilon",
     "ε under the decay rates",
     lambda e: e.group.experiment == "decay_grid" and len(_rates(e)) > 0,
     thesis={"decay_grid": "2.5"},
 )
-def epsilon(e: GroupEvidence) -> Shown:
+def epsilon(e: GroupEvidence) -> axes.Shown:
     """ε by iteration for each rate."""
-    rates, figure = _rates(e), new_figure(3.2)
+    rates, figure = _rates(e), axes.new_figure(3.2)
     looks = [e.group.styles[name] for name in rates.values()]
     end = min(e.group.cap, 600)
     plot_epsilon(figure.subplots(), list(rates), looks, iterations=end, emphasised=CHOSEN)
@@ -124,18 +114,18 @@ def _draw_panel(ax: Axes, title: str, panel: Lines, e: GroupEvidence) -> None:
     ax.axhline(cap, color=INK, lw=0.8, zorder=1)
     if e.group.env_id == EPISODES_OF_UNIFORM:
         ends = np.linspace(ticks[0], min(ticks[-1], math.log2(cap / math.log(2))), 50)
-        ax.plot(ends, math.log(2) * 2.0**ends, color=INK, lw=1.2, ls=DASHED, zorder=2)
+        ax.plot(ends, math.log(2) * 2.0**ends, color=INK, lw=1.2, ls=axes.DASHED, zorder=2)
     ax.set_title(title, loc="left", color=INK)
     ax.set_yscale("log")
     # The panels share their axis, and the rows above the cap differ in number.
     ax.set_ylim(top=max(ax.get_ylim()[1], cap * OVER ** (len(panel) + 1)))
     ax.set_xlim(ticks[0] - 0.7, ticks[-1] + 0.7)
     ax.grid()
-    plain_numbers(ax.yaxis)
+    axes.plain_numbers(ax.yaxis)
 
 
-@kind("first-reward", "How the effort grows with the size", lambda e: e.group.sized, hero=True)
-def first_reward(e: GroupEvidence) -> Shown:
+@axes.kind("first-reward", "How the effort grows with the size", lambda e: e.group.sized, hero=True)
+def first_reward(e: GroupEvidence) -> axes.Shown:
     """The median effort of every strategy by the size of the task."""
     panels = lines_by_size(e.group.configurations)
     names = list(dict.fromkeys(c.strategy for c in e.group.configurations))
@@ -147,7 +137,7 @@ def first_reward(e: GroupEvidence) -> Shown:
             " Dashed: the median of uniformly random actions, 2^size · ln 2; one of the 2^size"
             " sequences of actions has the reward."
         )
-    figure = new_figure(1.2 + 3.1 * math.ceil(len(panels) / 2))
+    figure = axes.new_figure(1.2 + 3.1 * math.ceil(len(panels) / 2))
     fill_panels(
         figure, list(panels.items()), lambda ax, item: _draw_panel(ax, *item, e), "size", quantity
     )
@@ -155,8 +145,8 @@ def first_reward(e: GroupEvidence) -> Shown:
     if len(sizes) <= MOST_TICKS:
         figure.axes[0].set_xticks(sizes)  # shared by all panels
     entries = zip(names, styles(names), strict=True)
-    handles = [handle(style, strategy_label(name)) for name, style in entries]
-    legend_above(figure.axes[0], handles, columns=3)
+    handles = [axes.handle(style, strategy_label(name)) for name, style in entries]
+    axes.legend_above(figure.axes[0], handles, columns=3)
     return figure, (
         f"Kaplan–Meier median of the {quantity}, with its interval. Hollow marks above the"
         f" line: fewer than half of the trials got there within the cap of {e.group.cap:,}."
@@ -200,23 +190,23 @@ def plot_power(ax: Axes, pairs: Sequence[Pair], *, trials: int, level: float) ->
             [count], [abs(pair.difference)], ls="", marker="o" if pair.told_apart else "D",
             ms=5, color=INK if pair.told_apart else "#d55e00", zorder=4,
         )  # fmt: skip
-    ax.axvline(trials, color=INK, lw=1.0, ls=DASHED)
+    ax.axvline(trials, color=INK, lw=1.0, ls=axes.DASHED)
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_xlim(1.6, right)
     ax.set_xlabel("trials per configuration (logarithmic)")
     ax.set_ylabel("difference in iterations (logarithmic)")
     ax.grid()
-    plain_numbers(ax.xaxis)
-    plain_numbers(ax.yaxis)
+    axes.plain_numbers(ax.xaxis)
+    axes.plain_numbers(ax.yaxis)
     handles = [
         Line2D([], [], color=COLOR, label=f"detected with {100 * POWER:g} % power"),
-        Line2D([], [], color=INK, lw=1.0, ls=DASHED, label=f"this study: {trials:,} trials"),
+        Line2D([], [], color=INK, lw=1.0, ls=axes.DASHED, label=f"this study: {trials:,} trials"),
         Line2D([], [], ls="", marker="o", color=INK, label="pair with a significant difference"),
         Line2D([], [], ls="", marker="D", color="#d55e00", label="pair without"),
     ]
     present = {p.told_apart for _, p in shown}
-    legend_above(ax, handles[:2] + [h for h, k in zip(handles[2:], (True, False), strict=True)
+    axes.legend_above(ax, handles[:2] + [h for h, k in zip(handles[2:], (True, False), strict=True)
                                     if k in present], columns=2)  # fmt: skip
     ax.tick_params(which="minor", color=MUTED)
 
@@ -231,16 +221,16 @@ def _pairs(e: GroupEvidence) -> list[Pair]:
     ]
 
 
-@kind(
+@axes.kind(
     "power",
     "What this number of trials can show",
-    lambda e: whole_study(e) and few(e) and len(_pairs(e)) > 0,
+    lambda e: axes.whole_study(e) and axes.few(e) and len(_pairs(e)) > 0,
 )
-def power(e: GroupEvidence) -> Shown:
+def power(e: GroupEvidence) -> axes.Shown:
     """The detectable difference at the level of one test after correction."""
     pairs, level, tests = _pairs(e), e.strict_level, len(e.comparisons)
     n = min(min(c.n_a, c.n_b) for c in e.comparisons)
-    figure = new_figure(3.4)
+    figure = axes.new_figure(3.4)
     plot_power(figure.subplots(), pairs, trials=n, level=level)
     low, high = (
         float(detectable_difference(f([p.sd for p in pairs]), n, level=level)) for f in (min, max)

@@ -11,19 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from trl_explore.report.decomposition import Acting, Decomposition
 from trl_explore.report.evidence import GroupEvidence
-from trl_explore.report.figures.axes import (
-    Shown,
-    bar,
-    crossed,
-    kind,
-    legend_above,
-    line_count,
-    marks,
-    new_figure,
-    rows_axis,
-    trials,
-    wrapped,
-)
+from trl_explore.report.figures import axes
 from trl_explore.report.figures.panels import legend_of, options_of
 from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style, styles
 from trl_explore.report.tables import negated
@@ -47,7 +35,7 @@ class PairRow:
 
 def pair_label(row: PairRow) -> str:
     """The label of a row, "A vs. B", in two lines if it is long."""
-    first, second = wrapped(row.first, 36, 1), wrapped(row.second, 36, 1)
+    first, second = axes.wrapped(row.first, 36, 1), axes.wrapped(row.second, 36, 1)
     return f"{first} vs. {second}" if len(first) + len(second) <= 26 else f"{first}\nvs. {second}"
 
 
@@ -56,19 +44,19 @@ def plot_forest(ax: Axes, rows: Sequence[PairRow]) -> None:
     words = {True: "significant", False: "not significant"}
     for y, row in enumerate(rows):
         color = row.style.color
-        bar(ax, row.difference, y, color=color, lw=1.7, zorder=2)
+        axes.bar(ax, row.difference, y, color=color, lw=1.7, zorder=2)
         ax.plot(
             [row.difference.value], [y], marker=row.style.marker, ms=6, mec=color,
             mfc=color if row.told_apart else PAPER, zorder=3, label=words[row.told_apart],
         )  # fmt: skip
     ax.axvline(0, color=INK, lw=1.0)
     labels, ends = [pair_label(row) for row in rows], (len(rows) - 0.4, -0.6)
-    rows_axis(ax, range(len(rows)), labels, ends, "iterations that the first saves")
+    axes.rows_axis(ax, range(len(rows)), labels, ends, "iterations that the first saves")
     ax.tick_params(axis="y", labelsize=8.5)
     ax.grid(axis="y", color=GRID, lw=0.4)
     kinds = [k for k in words if any(row.told_apart == k for row in rows)]
     faces = {True: MUTED, False: PAPER}
-    legend_above(ax, marks([(words[k], faces[k]) for k in kinds]), columns=2)
+    axes.legend_above(ax, axes.marks([(words[k], faces[k]) for k in kinds]), columns=2)
 
 
 def oriented(comparison: Comparison) -> tuple[str, str, Estimate]:
@@ -79,12 +67,12 @@ def oriented(comparison: Comparison) -> tuple[str, str, Estimate]:
     return comparison.a, comparison.b, negated(e)
 
 
-@kind(
+@axes.kind(
     "forest",
     "Every pair compared",
     lambda e: len(e.comparisons) > 0 and e.group.plane is None and not e.group.sized,
 )
-def forest(e: GroupEvidence) -> Shown:
+def forest(e: GroupEvidence) -> axes.Shown:
     """The pairs, the largest difference on top; of many, those with the fastest configuration."""
     labels, looks, layout, shown = e.group.labels, e.group.styles, e.group.crossed, e.comparisons
     if len(shown) > MOST_PAIRS and layout is None:
@@ -97,7 +85,7 @@ def forest(e: GroupEvidence) -> Shown:
         told_apart = comparison.winner is not None
         rows.append(PairRow(labels[first], rest[second], difference, told_apart, looks[first]))
     rows.sort(key=lambda row: -row.difference.value)
-    figure = new_figure(1.15 + sum(0.215 + 0.13 * pair_label(r).count("\n") for r in rows))
+    figure = axes.new_figure(1.15 + sum(0.215 + 0.13 * pair_label(r).count("\n") for r in rows))
     plot_forest(figure.subplots(), rows)
     some = (
         f" Only the {len(shown)} pairs with the fastest configuration are shown; the table has all."
@@ -141,17 +129,19 @@ def plot_effects(
     """Draw each estimate with its interval, in named blocks with one row per option."""
     for dot in dots:
         y, e, color = height(dot.block, dot.place, options), dot.estimate, dot.style.color
-        bar(ax, e, y, color=color, lw=1.6, zorder=2)
+        axes.bar(ax, e, y, color=color, lw=1.6, zorder=2)
         ax.plot([e.value], [y], ls="", marker=dot.style.marker, color=color, ms=5.5, zorder=3)
     middles = [height(b, 0, options) + (options - 1) / 2 for b in range(len(blocks))]
     end = height(len(blocks) - 1, options - 1, options) + 0.8
-    rows_axis(ax, middles, [wrapped(block, 18) for block in blocks], (end, -0.8), quantity)
+    axes.rows_axis(
+        ax, middles, [axes.wrapped(block, 18) for block in blocks], (end, -0.8), quantity
+    )
     for block in range(1, len(blocks)):
         ax.axhline(height(block, 0, options) - (GAP + 1) / 2, color=GRID, lw=0.8, zorder=0)
 
 
-@kind("effects", "What the options do", crossed, hero=True, why=True)
-def effects(e: GroupEvidence) -> Shown:
+@axes.kind("effects", "What the options do", axes.crossed, hero=True, why=True)
+def effects(e: GroupEvidence) -> axes.Shown:
     """Pass rate and mean iterations of a crossed group."""
     group, layout = e.group, e.group.crossed
     assert layout is not None
@@ -163,7 +153,7 @@ def effects(e: GroupEvidence) -> Shown:
         rates.append(Dot(row, option, percent, style))
         means.append(Dot(row, option, summary.restricted_mean, style))
     rows, n = layout.rows, len(layout.options)
-    figure = new_figure(1.25 + 0.155 * height(len(rows), 0, n))
+    figure = axes.new_figure(1.25 + 0.155 * height(len(rows), 0, n))
     left, right = figure.subplots(1, 2, sharey=True)
     plot_effects(left, rates, rows, n, quantity="trials that pass, %")
     plot_effects(right, means, rows, n, quantity="mean iterations")
@@ -174,8 +164,8 @@ def effects(e: GroupEvidence) -> Shown:
     right.set_xlim(0, 1.04 * group.cap)
     legend_of(left, options_of(group))
     return figure, (
-        f"Left: share of {trials(e)} trials that pass. Right: mean number of iterations; failed"
-        f" trials count as {group.cap:,}. Bars: {100 * e.level:g} % intervals (left: Wilson;"
+        f"Left: share of {axes.trials(e)} trials that pass. Right: mean number of iterations;"
+        f" failed trials count as {group.cap:,}. Bars: {100 * e.level:g} % intervals (left: Wilson;"
         f" right: MOVER). Circles: {layout.options[0]}."
     )
 
@@ -209,24 +199,26 @@ def acting_rows(found: Sequence[Decomposition]) -> list[ActingRow]:
     return rows + ([ActingRow("softmax", last, softmax, True)] if last else [])
 
 
-def draw_acting(found: Sequence[Decomposition]) -> Shown:
+def draw_acting(found: Sequence[Decomposition]) -> axes.Shown:
     """Both scores of every row of one environment with their intervals, joined by a line."""
     rows = acting_rows(found)
-    figure = new_figure(1.1 + sum(0.13 + 0.16 * line_count(row.label, 24) for row in rows))
+    figure = axes.new_figure(
+        1.1 + sum(0.13 + 0.16 * axes.line_count(row.label, 24) for row in rows)
+    )
     ax = figure.subplots()
     for y, row in enumerate(rows):
         color, behaved, learned = row.style.color, row.acting.behaved, row.acting.learned
         ax.plot([behaved.value, learned.value], [y, y], color=color, lw=1.1, zorder=2)
         look: dict[str, Any] = {"marker": row.style.marker, "mec": color, "ms": 6, "zorder": 3}
         for e, face in ((behaved, PAPER), (learned, color)):
-            bar(ax, e, y, color=color, lw=3.4, alpha=0.35, zorder=1)
+            axes.bar(ax, e, y, color=color, lw=3.4, alpha=0.35, zorder=1)
             ax.plot([e.value], [y], ls="", mfc=face, **look)
         if row.first and y:
             ax.axhline(y - 0.5, color=GRID, lw=0.8, zorder=0)
-    labels, ends = [wrapped(row.label, 24) for row in rows], (len(rows) - 0.4, -0.6)
-    rows_axis(ax, range(len(rows)), labels, ends, "mean score over training")
+    labels, ends = [axes.wrapped(row.label, 24) for row in rows], (len(rows) - 0.4, -0.6)
+    axes.rows_axis(ax, range(len(rows)), labels, ends, "mean score over training")
     entries = [("while it explores", PAPER), ("without exploration", MUTED)]
-    legend_above(ax, marks(entries), columns=2)
+    axes.legend_above(ax, axes.marks(entries), columns=2)
     return figure, (
         f"{found[0].environment}. Hollow: mean score of the training episodes, in which the agent"
         " explores. Filled: mean score of the same weights, played without exploration in episodes"

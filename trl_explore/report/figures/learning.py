@@ -12,21 +12,7 @@ from matplotlib.figure import Figure
 
 from trl_explore.report.curves import Curve
 from trl_explore.report.evidence import GroupEvidence
-from trl_explore.report.figures.axes import (
-    DASHED,
-    NAMED,
-    Kind,
-    Shown,
-    crossed,
-    few,
-    kind,
-    line_count,
-    new_figure,
-    plain_numbers,
-    spans_much,
-    whole_study,
-    wrapped,
-)
+from trl_explore.report.figures import axes
 from trl_explore.report.figures.panels import (
     MARKS,
     PANELS_PER_ROW,
@@ -65,37 +51,37 @@ def plot_learning(
         markevery=(every // 2, every), zorder=3,
     )  # fmt: skip
     if threshold is not None:
-        ax.axhline(threshold, color=INK, lw=1.0, ls=DASHED, zorder=2)
-    ax.set_title(wrapped(title, 28), loc="left", color=INK)
+        ax.axhline(threshold, color=INK, lw=1.0, ls=axes.DASHED, zorder=2)
+    ax.set_title(axes.wrapped(title, 28), loc="left", color=INK)
     ax.grid()
     curves = [curve, *(other for other, _ in others)]
     ax.set_ylim(bottom=min(0.0, *(float(np.nanmin(c.mean)) for c in curves)))
-    plain_numbers(ax.xaxis)
-    plain_numbers(ax.yaxis)
+    axes.plain_numbers(ax.xaxis)
+    axes.plain_numbers(ax.yaxis)
 
 
 def _quantity(e: GroupEvidence) -> str:
     return f"mean score, last {e.group.window} episodes"
 
 
-@kind(
+@axes.kind(
     "learning",
     "Learning curves",
-    lambda e: whole_study(e) and few(e) and len(e.traces.learning) > 0,
+    lambda e: axes.whole_study(e) and axes.few(e) and len(e.traces.learning) > 0,
 )
-def learning(e: GroupEvidence) -> Shown:
+def learning(e: GroupEvidence) -> axes.Shown:
     """One panel per configuration, all on the same axes."""
     group, curves = e.group, e.traces.learning
     names = list(curves)
     lines = math.ceil(len(names) / min(PANELS_PER_ROW, len(names)))
-    height = 1.5 + 0.15 * max(line_count(group.labels[name], 28) for name in names)
+    height = 1.5 + 0.15 * max(axes.line_count(group.labels[name], 28) for name in names)
 
     def draw(ax: Axes, name: str) -> None:
         others = [(curves[n], group.styles[n]) for n in names if n != name]
         plot_learning(ax, curves[name], group.styles[name], title=group.labels[name],
                       others=others, threshold=group.threshold)  # fmt: skip
 
-    figure = new_figure(1.0 + height * lines)
+    figure = axes.new_figure(1.0 + height * lines)
     fill_panels(figure, names, draw, "iteration", _quantity(e))
     bands = any(curve.low is not None for curve in curves.values())
     what = "Line: mean over trials" + ("; band: middle half of the trials" if bands else "")
@@ -141,12 +127,12 @@ def _panels(e: GroupEvidence, curves: Mapping[str, Curve], title: str = "") -> l
     ]
 
 
-@kind(
+@axes.kind(
     "learning-panels",
     "Learning curves",
-    lambda e: crossed(e) and len(e.traces.learning) > 0,
+    lambda e: axes.crossed(e) and len(e.traces.learning) > 0,
 )
-def panels(e: GroupEvidence) -> Shown:
+def panels(e: GroupEvidence) -> axes.Shown:
     """One panel per row of a crossed group."""
     curves = {name: Curve(c.iterations, c.mean) for name, c in e.traces.learning.items()}
     threshold = e.group.threshold
@@ -156,12 +142,12 @@ def panels(e: GroupEvidence) -> Shown:
     )
 
 
-@kind(
+@axes.kind(
     "evaluation",
     "The agent without exploration",
-    lambda e: few(e) and len(e.traces.evaluations) > 0,
+    lambda e: axes.few(e) and len(e.traces.evaluations) > 0,
 )
-def evaluation(e: GroupEvidence) -> Shown:
+def evaluation(e: GroupEvidence) -> axes.Shown:
     """The scores in training and of the greedy policy, one panel per configuration."""
     group, gains, found = e.group, [], []
     for name, (training, greedy) in e.traces.evaluations.items():
@@ -192,13 +178,13 @@ HOW = (
 
 
 def _recorded(name: str, e: GroupEvidence) -> bool:
-    readable = crossed(e) or len(e.group.configurations) <= FEWER
+    readable = axes.crossed(e) or len(e.group.configurations) <= FEWER
     return readable and name in e.traces.diagnostics
 
 
-def _diagnostic(e: GroupEvidence, name: str, quantity: Diagnostic) -> Shown:
+def _diagnostic(e: GroupEvidence, name: str, quantity: Diagnostic) -> axes.Shown:
     curves = e.traces.diagnostics[name]
-    log = quantity.may_be_log and spans_much([curve.mean for curve in curves.values()])
+    log = quantity.may_be_log and axes.spans_much([curve.mean for curve in curves.values()])
     limits = (0.0, 1.04) if quantity.bounds == (0.0, 1.0) else None
     axis = quantity.axis + (" (logarithmic)" if log else "")
     figure = _draw(e, _panels(e, curves), axis, line=quantity.line, log=log,
@@ -207,7 +193,7 @@ def _diagnostic(e: GroupEvidence, name: str, quantity: Diagnostic) -> Shown:
     if layout is not None:  # only the first option
         labels = {n: layout.rows[r] for (r, o), n in sorted(layout.cells.items()) if o == 0}
         option = f", {layout.options[0]}"
-    means = [f"{labels[n]}: {_short(curves[n].level)}" for n in labels if n in curves][:NAMED]
+    means = [f"{labels[n]}: {_short(curves[n].level)}" for n in labels if n in curves][: axes.NAMED]
     return figure, (
         f"{quantity.caption}{HOW} Mean of each line over all iterations{option}:"
         f" {'; '.join(means)}."
@@ -226,7 +212,7 @@ def _short(value: float) -> str:
 
 
 DIAGNOSTIC_KINDS = tuple(
-    Kind(
+    axes.Kind(
         name,
         quantity.title,
         partial(_recorded, name),
@@ -242,8 +228,8 @@ ENTROPIES = {name: q.policy for name, q in DIAGNOSTICS.items() if q.policy}
 FIRST = DIAGNOSTICS[next(iter(ENTROPIES))]
 
 
-@kind("entropy", FIRST.title, partial(_recorded, next(iter(ENTROPIES))), recorded=True)
-def entropy(e: GroupEvidence) -> Shown:
+@axes.kind("entropy", FIRST.title, partial(_recorded, next(iter(ENTROPIES))), recorded=True)
+def entropy(e: GroupEvidence) -> axes.Shown:
     """The entropies of π (left) and μ (right) in pairs of panels."""
     found = [_panels(e, e.traces.diagnostics.get(n, {}), str(p)) for n, p in ENTROPIES.items()]
     pairs = [panel for row in zip(*found, strict=True) for panel in row]

@@ -13,17 +13,7 @@ from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from trl_explore.report.evidence import GroupEvidence
-from trl_explore.report.figures.axes import (
-    NAMED,
-    Shown,
-    each,
-    kind,
-    new_figure,
-    number,
-    trials,
-    wrapped,
-)
-from trl_explore.report.figures.axes import plane as is_plane
+from trl_explore.report.figures import axes
 from trl_explore.report.style import INK, MAP, MAP_INKS, MUTED, WIDTH, contrast
 from trl_explore.statistics.summary import Summary
 from trl_explore.training.quantities import PLANES
@@ -109,7 +99,7 @@ def _plane(
     for place, name in layout.cells.items():
         values[place] = value(e.summary(name))
     marked = next((place for place, n in layout.cells.items() if n == layout.reference), None)
-    figure = new_figure(0.95 + 0.36 * len(layout.ys))
+    figure = axes.new_figure(0.95 + 0.36 * len(layout.ys))
     ax = figure.subplots()
     plot_plane(
         ax, values, layout.xs, layout.ys, x=layout.x, y=layout.y, scale=scale,
@@ -120,21 +110,21 @@ def _plane(
     return figure, f"Framed: {e.group.labels[name]}, the thesis’s softmax. " if name else ""
 
 
-@kind("map-pass", "Where trials pass", is_plane, hero=True)
-def passing(e: GroupEvidence) -> Shown:
+@axes.kind("map-pass", "Where trials pass", axes.plane, hero=True)
+def passing(e: GroupEvidence) -> axes.Shown:
     """The map of the pass rate."""
     width = max(50 * (s.pass_rate.high - s.pass_rate.low) for s in e.summaries)
     figure, frame = _plane(
         e, "trials that pass, %", lambda s: 100 * s.pass_rate.value, (0.0, 100.0)
     )
     return figure, (
-        f"Percentage of {trials(e)} trials that pass; lighter is better. {frame}A cell is"
+        f"Percentage of {axes.trials(e)} trials that pass; lighter is better. {frame}A cell is"
         f" uncertain by up to ±{width:.0f} points: look at the pattern, not at single cells."
     )
 
 
-@kind("map-iterations", "How many iterations they take", is_plane)
-def iterations(e: GroupEvidence) -> Shown:
+@axes.kind("map-iterations", "How many iterations they take", axes.plane)
+def iterations(e: GroupEvidence) -> axes.Shown:
     """The map of the mean iterations."""
     ends = (float(e.group.cap), min(s.restricted_mean.value for s in e.summaries))
     figure, frame = _plane(e, "mean iterations", lambda s: s.restricted_mean.value, ends)
@@ -152,17 +142,17 @@ FAINT = 1e-4
 
 def _names(e: GroupEvidence) -> list[str]:
     """The configurations whose visits were recorded, at most ``NAMED``."""
-    return [c.name for c in e.group.configurations if c.name in e.traces.visits][:NAMED]
+    return [c.name for c in e.group.configurations if c.name in e.traces.visits][: axes.NAMED]
 
 
-@kind(
+@axes.kind(
     "visits",
     "Where the trials have been",
     # All maps have the same rows and columns.
     lambda e: len({e.traces.visits[name]["visits"].shape[1:] for name in _names(e)}) == 1,
     recorded=True,
 )
-def visits(e: GroupEvidence) -> Shown:
+def visits(e: GroupEvidence) -> axes.Shown:
     """The shares of the frames in each state, at a few iterations."""
 
     def reached(name: str) -> str:
@@ -174,7 +164,7 @@ def visits(e: GroupEvidence) -> Shown:
     return _draw_visits(e), (
         f"Share of the frames of all trials in each {place}, from iteration 1 to the one over"
         f" the map (logarithmic colours; white: never). Reached by any trial at the end, {what}:"
-        f" {each(e, lambda c: reached(c.name))}."
+        f" {axes.each(e, lambda c: reached(c.name))}."
     )
 
 
@@ -184,10 +174,10 @@ def _draw_visits(e: GroupEvidence) -> Figure:
     limits = (x[0], x[1], y[0], y[1]) if plane else None
     rows, columns = e.traces.visits[names[0]]["visits"].shape[1:]
     height = min(1.5, max(0.35, WIDTH / (COLUMNS + 1) * rows / columns))
-    figure = new_figure(1.3 + (height + 0.25) * len(names))
-    axes = figure.subplots(len(names), COLUMNS, squeeze=False)
+    figure = axes.new_figure(1.3 + (height + 0.25) * len(names))
+    grid = figure.subplots(len(names), COLUMNS, squeeze=False)
     image = None
-    for line, name in zip(axes, names, strict=True):
+    for line, name in zip(grid, names, strict=True):
         found = e.traces.visits[name]
         for ax in line:
             ax.set_axis_off()
@@ -200,18 +190,18 @@ def _draw_visits(e: GroupEvidence) -> Figure:
                 norm=LogNorm(FAINT, 1.0, clip=True), origin="upper" if plane is None else "lower",
                 interpolation="nearest", extent=limits,
             )  # fmt: skip
-            when = number(float(found["iteration"][k]))
+            when = axes.number(float(found["iteration"][k]))
             ax.set_title(when if ax is not line[0] else f"iteration {when}", fontsize=8, color=INK)
             ax.set_axis_on()
-            ax.set_xticks(x if line[0] is axes[-1, 0] else [])
+            ax.set_xticks(x if line[0] is grid[-1, 0] else [])
             ax.set_yticks(y if ax is line[0] else [])
             ax.tick_params(labelsize=7)
             ax.grid(False)
-        line[0].set_ylabel(wrapped(e.group.labels[name], 18), fontsize=8)
+        line[0].set_ylabel(axes.wrapped(e.group.labels[name], 18), fontsize=8)
     if plane is not None:
         figure.supxlabel(f"across: {plane[0].label}; up: {plane[1].label}", fontsize=9)
     assert image is not None
-    bar = figure.colorbar(image, ax=axes, location="bottom", aspect=50, shrink=0.9, pad=0.02)
-    bar.ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
+    bar = figure.colorbar(image, ax=grid, location="bottom", aspect=50, shrink=0.9, pad=0.02)
+    bar.ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: axes.number(value)))
     bar.set_label("share of the frames so far", fontsize=9)
     return figure

@@ -12,15 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from trl_explore.report.curves import Curve
-from trl_explore.report.figures.axes import (
-    DASHED,
-    few_ticks,
-    handle,
-    legend_above,
-    new_figure,
-    plain_numbers,
-    wrapped,
-)
+from trl_explore.report.figures import axes
 from trl_explore.report.groups import Group
 from trl_explore.report.style import INK, Style
 
@@ -68,7 +60,7 @@ def draw_panels(
     entries = list(legend or options_of(group))
     columns = min(PANELS_PER_ROW, len(panels))
     lines = math.ceil(len(panels) / columns)
-    figure = new_figure(1.05 + 0.1 * len(entries) + (1.55 if columns > 1 else 2.4) * lines)
+    figure = axes.new_figure(1.05 + 0.1 * len(entries) + (1.55 if columns > 1 else 2.4) * lines)
     fill_panels(figure, panels, draw, x, y)
     legend_of(figure.axes[0], entries)
     return figure
@@ -79,17 +71,17 @@ def fill_panels(
 ) -> None:
     """Draw panels on common axes of a figure, two per line."""
     columns = min(PANELS_PER_ROW, len(panels))
-    axes = figure.subplots(
+    grid = figure.subplots(
         math.ceil(len(panels) / columns), columns, sharex=True, sharey=True, squeeze=False
     )
-    for k, ax in enumerate(axes.ravel()):
+    for k, ax in enumerate(grid.ravel()):
         if k >= len(panels):
             ax.set_axis_off()
             continue
         draw(ax, panels[k])
         ax.set_xlabel("")
         if ax.get_xscale() == "linear":
-            few_ticks(ax.xaxis)
+            axes.few_ticks(ax.xaxis)
         ax.tick_params(labelbottom=k + columns >= len(panels))
     figure.supxlabel(x, fontsize=9)
     figure.supylabel(y, fontsize=9)
@@ -106,7 +98,7 @@ def options_of(group: Group) -> list[tuple[str, Style]]:
 def legend_of(ax: Axes, entries: Sequence[tuple[str, Style]]) -> None:
     """Draw a legend above the figure, in columns that fit the labels."""
     columns = 2 if max(len(label) for label, _ in entries) > 12 or len(entries) == 4 else 3
-    legend_above(ax, [handle(style, label) for label, style in entries], columns=columns)
+    axes.legend_above(ax, [axes.handle(style, label) for label, style in entries], columns=columns)
 
 
 def plot_curves(
@@ -135,14 +127,14 @@ def plot_curves(
             ms=4, markevery=(min(first, len(x) - 1), every), zorder=3,
         )  # fmt: skip
     if line is not None:
-        ax.axhline(line, color=INK, lw=1.0, ls=DASHED, zorder=2)
-    ax.set_title(wrapped(title, 28), loc="left", color=INK)
+        ax.axhline(line, color=INK, lw=1.0, ls=axes.DASHED, zorder=2)
+    ax.set_title(axes.wrapped(title, 28), loc="left", color=INK)
     ax.set_yscale("log" if log else "linear")
     ax.grid()
     shown = [curve for curve, _ in curves]
     ax.set_ylim(*(limits or limits_of(shown, line=line, log=log, from_zero=from_zero)))
-    plain_numbers(ax.xaxis)
-    plain_numbers(ax.yaxis)
+    axes.plain_numbers(ax.xaxis)
+    axes.plain_numbers(ax.yaxis)
 
 
 def limits_of(

@@ -11,22 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from trl_explore.report.evidence import GroupEvidence
-from trl_explore.report.figures.axes import (
-    Shown,
-    by,
-    crossed,
-    each,
-    kind,
-    line_count,
-    new_figure,
-    passed,
-    plain,
-    plain_numbers,
-    spans_much,
-    trials,
-    whole_study,
-    wrapped,
-)
+from trl_explore.report.figures import axes
 from trl_explore.report.figures.panels import BANDS_UP_TO, Panel, draw_panels, panels_of
 from trl_explore.report.style import INK, MUTED, Style
 from trl_explore.statistics.outcomes import convergence_times
@@ -58,7 +43,7 @@ def plot_survival(
     The time axis ends at ``horizon``, or at the last time of any row if that is None.
     """
     end = horizon or max(float(row.curve.times[-1]) for row in rows)
-    log = spans_much([row.durations for row in rows])
+    log = axes.spans_much([row.durations for row in rows])
     start = 0.8 * min(row.durations.min() for row in rows) if log else 0.0
     for k, row in enumerate(rows):
         curve, style = row.curve, row.style
@@ -77,10 +62,10 @@ def plot_survival(
     ax.set_xlim(start, end * (1.05 if log else 1.02))
     ax.set_ylim(-0.02, 1.02)
     ax.set_yticks(np.linspace(0, 1, 5), ["0 %", "25 %", "50 %", "75 %", "100 %"])
-    ax.set_title(wrapped(title, 28), loc="left", color=INK)
+    ax.set_title(axes.wrapped(title, 28), loc="left", color=INK)
     ax.set_xlabel(time + (" (logarithmic)" if log else ""))
     ax.grid()
-    plain_numbers(ax.xaxis)
+    axes.plain_numbers(ax.xaxis)
 
 
 def plot_numbers_at_risk(ax: Axes, rows: Sequence[Row], times: Sequence[float]) -> None:
@@ -99,7 +84,7 @@ def plot_numbers_at_risk(ax: Axes, rows: Sequence[Row], times: Sequence[float]) 
             ls=row.style.line, marker=mark, markevery=[1],
         )  # fmt: skip
         ax.text(
-            -0.17, y, wrapped(row.label), transform=over, ha="right", va="center", color=INK,
+            -0.17, y, axes.wrapped(row.label), transform=over, ha="right", va="center", color=INK,
             linespacing=1.0,
         )  # fmt: skip
         for time, count in zip(times, number_at_risk(row.durations, times), strict=True):
@@ -109,8 +94,8 @@ def plot_numbers_at_risk(ax: Axes, rows: Sequence[Row], times: Sequence[float]) 
 def draw_survival(e: GroupEvidence, unit: str) -> Figure:
     """Kaplan-Meier curves in iterations or frames, with the numbers at risk below them."""
     rows = _rows(e, [c.name for c in e.group.configurations], unit)
-    below = 0.19 * (len(rows) * max(0.8 * line_count(row.label) + 0.2 for row in rows) + 1.2)
-    figure = new_figure(3.1 + below)
+    below = 0.19 * (len(rows) * max(0.8 * axes.line_count(row.label) + 0.2 for row in rows) + 1.2)
+    figure = axes.new_figure(3.1 + below)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.6, below])
     upper.tick_params(labelbottom=True)
     plot_survival(upper, rows, time=unit, title=_quantity(e))
@@ -153,20 +138,21 @@ BY_LEARNING = (
 )
 
 
-@kind("survival", SHARE, plain, hero=True)
-def curves(e: GroupEvidence) -> Shown:
+@axes.kind("survival", SHARE, axes.plain, hero=True)
+def curves(e: GroupEvidence) -> axes.Shown:
     """The curves of all configurations in iterations."""
     many = len(e.group.configurations) > BANDS_UP_TO
     bands = "" if many else f" Bands: {100 * e.level:g} % intervals."
     return draw_survival(e, "iterations"), (
         f"Share of {_quantity(e)} (Kaplan–Meier). A curve that falls earlier and further is"
         f" better. Trials that had not {e.group.did} by {e.group.cap:,} iterations were stopped"
-        f" there. {passed(e)}{bands} Below: how many of {trials(e)} trials are still learning."
+        f" there. {axes.passed(e)}{bands} Below: how many of {axes.trials(e)} trials are still"
+        " learning."
     )
 
 
-@kind("survival-panels", SHARE, crossed)
-def panels(e: GroupEvidence) -> Shown:
+@axes.kind("survival-panels", SHARE, axes.crossed)
+def panels(e: GroupEvidence) -> axes.Shown:
     """One panel per row of a crossed group."""
     return _draw_panels(e), (
         "Share of trials that have not converged (Kaplan–Meier). Trials that had not passed by the"
@@ -175,26 +161,26 @@ def panels(e: GroupEvidence) -> Shown:
     )
 
 
-@kind("survival-learned", LEARNED, lambda e: plain(e) and e.learned is not None)
-def learned(e: GroupEvidence) -> Shown:
+@axes.kind("survival-learned", LEARNED, lambda e: axes.plain(e) and e.learned is not None)
+def learned(e: GroupEvidence) -> axes.Shown:
     """The same curves, judged by what was learned."""
     assert e.learned is not None
-    counts = each(e.learned, lambda c: f"{int(c.converged.sum())} of {len(c)}")
+    counts = axes.each(e.learned, lambda c: f"{int(c.converged.sum())} of {len(c)}")
     return draw_survival(e.learned, "iterations"), (
         f"{BY_LEARNING} Share of trials that have not learned (Kaplan–Meier)."
-        f" Learned{by(e.learned)}: {counts}."
+        f" Learned{axes.by(e.learned)}: {counts}."
     )
 
 
-@kind("survival-learned-panels", LEARNED, lambda e: crossed(e) and e.learned is not None)
-def learned_panels(e: GroupEvidence) -> Shown:
+@axes.kind("survival-learned-panels", LEARNED, lambda e: axes.crossed(e) and e.learned is not None)
+def learned_panels(e: GroupEvidence) -> axes.Shown:
     """The same panels, judged by what was learned."""
     assert e.learned is not None
     return _draw_panels(e.learned), f"{BY_LEARNING} Bands: {100 * e.level:g} % intervals."
 
 
-@kind("survival-frames", f"{SHARE}, in frames", whole_study)
-def frames(e: GroupEvidence) -> Shown:
+@axes.kind("survival-frames", f"{SHARE}, in frames", axes.whole_study)
+def frames(e: GroupEvidence) -> axes.Shown:
     """The curves of all configurations in frames."""
     return draw_survival(e, "frames"), (
         "The same curves by environment steps (frames), which do not depend on the machine. Failed"

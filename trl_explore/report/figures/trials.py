@@ -13,22 +13,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from trl_explore.report.evidence import GroupEvidence
-from trl_explore.report.figures.axes import (
-    DASHED,
-    Shown,
-    by,
-    each,
-    few,
-    kind,
-    legend_above,
-    line_count,
-    new_figure,
-    number,
-    passed,
-    rows_axis,
-    spans_much,
-    wrapped,
-)
+from trl_explore.report.figures import axes
 from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style
 from trl_explore.statistics.outcomes import Outcomes
 
@@ -94,21 +79,21 @@ def plot_trials(
             1.015, -0.62, "passed", transform=ax.get_yaxis_transform(),
             va="center", ha="left", fontsize=8, color=MUTED,
         )  # fmt: skip
-    log = may_be_log and spans_much([row.values for row in rows])
+    log = may_be_log and axes.spans_much([row.values for row in rows])
     ax.set_xscale("log" if log else "linear")
     handles = _legend(present)
     if line is not None:
-        ax.axvline(line[0], color=INK, lw=1.0, ls=DASHED, zorder=1)
-        handles.append(Line2D([], [], color=INK, lw=1.0, ls=DASHED, label=line[1]))
-    labels = [wrapped(row.label) for row in rows]
+        ax.axvline(line[0], color=INK, lw=1.0, ls=axes.DASHED, zorder=1)
+        handles.append(Line2D([], [], color=INK, lw=1.0, ls=axes.DASHED, label=line[1]))
+    labels = [axes.wrapped(row.label) for row in rows]
     quantity += " (logarithmic)" if log else ""
-    rows_axis(ax, range(len(rows)), labels, (len(rows) - 0.4, -0.9), quantity)
+    axes.rows_axis(ax, range(len(rows)), labels, (len(rows) - 0.4, -0.9), quantity)
     ax.hlines(
         np.arange(len(rows) - 1) + 0.55, 0, 1, transform=ax.get_yaxis_transform(),
         color=GRID, lw=0.6, zorder=0,
     )  # fmt: skip
     ax.set_ylabel(of or "")
-    legend_above(ax, handles, columns=2)
+    axes.legend_above(ax, handles, columns=2)
 
 
 def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -204,7 +189,9 @@ def _draw(
         for shown, numbers in [values(c)]
         if len(shown)
     ]
-    figure = new_figure(1.3 + sum(max(0.42, 0.17 * line_count(row.label)) for row in rows))
+    figure = axes.new_figure(
+        1.3 + sum(max(0.42, 0.17 * axes.line_count(row.label)) for row in rows)
+    )
     plot_trials(
         figure.subplots(), rows, quantity=quantity, of=e.group.parameter, line=line,
         may_be_log=may_be_log,
@@ -212,57 +199,57 @@ def _draw(
     return figure
 
 
-@kind(
+@axes.kind(
     "score",
     "Final score of every trial",
-    few,
+    axes.few,
     thesis={"thesis": "3.1", "epsilon_grid": "2.1", "decay_grid": "2.3"},
 )
-def score(e: GroupEvidence) -> Shown:
+def score(e: GroupEvidence) -> axes.Shown:
     """The final scores, and the threshold."""
     learned, threshold, window = e.group.did == "learned", e.group.threshold, e.group.window
     quantity = f"mean score of the last {window} episodes"
     caption = (
-        f"One point per trial. {passed(e)} A trial stops as soon as its score exceeds"
+        f"One point per trial. {axes.passed(e)} A trial stops as soon as its score exceeds"
         f" {threshold:g}, so passing trials lie just above the line, except those that"
         f" had exceeded it before their {window}th episode."
     )
     if learned:
         quantity = "mean score of the final policy, without exploration"
-        caption = f"One point per trial: its policy, played without exploration. {passed(e)}"
+        caption = f"One point per trial: its policy, played without exploration. {axes.passed(e)}"
     line = threshold, f"passes above {threshold:g}"
     return _draw(e, lambda c: (c, c.score), quantity, line, may_be_log=False), caption
 
 
-@kind(
+@axes.kind(
     "iterations",
     "Iterations of every trial",
-    few,
+    axes.few,
     thesis={"thesis": "3.2", "decay_grid": "2.2"},
 )
-def iterations(e: GroupEvidence) -> Shown:
+def iterations(e: GroupEvidence) -> axes.Shown:
     """The iterations to convergence, and the cap."""
 
     def median(c: Outcomes) -> str:
         # The lower median: of the two middle values, the smaller one.
         middle = np.sort(np.where(c.converged, c.durations, np.inf))[(len(c) - 1) // 2]
-        return number(float(middle)) if np.isfinite(middle) else "not reached"
+        return axes.number(float(middle)) if np.isfinite(middle) else "not reached"
 
     line = e.group.cap, f"cap: {e.group.cap:,} iterations"
     return _draw(e, lambda c: (c, c.durations), "iterations to convergence", line), (
         f"Hollow points: trials stopped at the cap of {e.group.cap:,} iterations. They"
         f" would have needed more iterations, or would never have {e.group.did}."
-        f" Medians{by(e)}: {each(e, median)}."
+        f" Medians{axes.by(e)}: {axes.each(e, median)}."
     )
 
 
-@kind(
+@axes.kind(
     "seconds",
     "Seconds of single trials",
     lambda e: any(len(e.group.timed(c)[1]) for c in e.group.configurations),
     thesis={"thesis": "3.3", "decay_grid": "2.4"},
 )
-def seconds(e: GroupEvidence) -> Shown:
+def seconds(e: GroupEvidence) -> axes.Shown:
     """The seconds of trials that were timed alone."""
     timed = {c.name: e.group.timed(c)[1] for c in e.group.configurations}
     counts = {len(s) for s in timed.values()} - {0}
@@ -273,17 +260,18 @@ def seconds(e: GroupEvidence) -> Shown:
 
     return _draw(e, e.group.timed, "seconds of a trial run alone"), (
         f"Each trial was run alone, in random order, after a warm-up; {some} trials per"
-        f" configuration. Means{by(e)}: {each(e, mean)}. Seconds depend on program and machine:"
-        " an iteration has a fixed cost in addition to the cost of its frames, which slows down"
-        " trials with many short episodes. The figure of frames does not depend on the machine."
+        f" configuration. Means{axes.by(e)}: {axes.each(e, mean)}. Seconds depend on program and"
+        " machine: an iteration has a fixed cost in addition to the cost of its frames, which slows"
+        " down trials with many short episodes. The figure of frames does not depend on the"
+        " machine."
     )
 
 
-@kind("frames", "Frames of every trial", few)
-def frames(e: GroupEvidence) -> Shown:
+@axes.kind("frames", "Frames of every trial", axes.few)
+def frames(e: GroupEvidence) -> axes.Shown:
     """The frames until each trial stopped."""
     return _draw(e, lambda c: (c, c.frames), "frames until the trial stopped"), (
         "Environment steps until a trial stopped: a cost of learning that does not depend on the"
         " machine. Failed trials with short episodes use few frames."
-        f" Means{by(e)}: {each(e, lambda c: f'{c.frames.mean():,.0f}')}."
+        f" Means{axes.by(e)}: {axes.each(e, lambda c: f'{c.frames.mean():,.0f}')}."
     )
