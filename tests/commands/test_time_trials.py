@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pandas as pd
 import pytest
 
+from trl_explore.commands.time import time_trial
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.records import read_timings
 from trl_explore.jobs.writing import write_timings
@@ -114,3 +116,15 @@ def test_foreign_timings_are_refused(tmp_path, rows):
     (tmp_path / "timings.csv").write_text(f"experiment,job,trial,seconds,frames\n{rows}\n")
     with pytest.raises(ResultsError, match=r"timings\.csv"):
         read_timings(tmp_path)
+
+
+def test_evaluations_are_not_part_of_the_time():
+    ended = []
+    trainer = SimpleNamespace(
+        run=lambda: SimpleNamespace(frames=[7]), evaluating=100.0, close=lambda: ended.append(True)
+    )
+    trials = pd.DataFrame({"trial": [3, 4], "frames": [5, 7]})
+    config = SimpleNamespace(first_trial=3)
+    job: Any = SimpleNamespace(trainer=lambda trial: trainer, trials=trials, config=config)
+    assert time_trial(job, 4) == (pytest.approx(-100, abs=1), 7)
+    assert ended == [True]

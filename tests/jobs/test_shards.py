@@ -102,6 +102,18 @@ def test_only_what_gains_by_threads_is_divided(monkeypatch):
     assert counts == [2, 2, 2, 1, 2, 2]
 
 
+def test_a_shard_that_has_stopped_is_not_trained_again(tmp_path):
+    def attached() -> Shards:
+        shards, checkpoints = build_shards(composed("noise"), [4, 5]), Checkpoints(tmp_path)
+        checkpoints.attach(shards, {}, Interrupts(lambda: None), seconds=1e9)
+        for trainer, saver in zip(shards.trainers, checkpoints.savers, strict=True):
+            trainer.on_iteration = saver
+        return shards
+
+    attached().run()
+    assert not any(trainer.trials.active.any() for trainer in attached().trainers)
+
+
 @pytest.mark.parametrize("values", [[0.1] * 4, [0.1] * (TRIALS + 1)])
 def test_parameters_for_other_trials_are_refused(values):
     config = composed("per trial", f"strategy.epsilon={values}")
