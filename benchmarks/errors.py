@@ -19,7 +19,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
-from tables import table
+from markdown_tables import table
 
 from trl_explore.jobs.reading import find_jobs, read_job
 from trl_explore.names import strategy_label

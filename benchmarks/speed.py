@@ -13,8 +13,8 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import markdown_tables
 import scaling
-import tables
 import torch
 from machine import load
 from plan import QUICK, Settings, measure
@@ -52,7 +52,7 @@ def main() -> int:
     before = load()
     measured = measure(settings(options.quick, options.repeats))
     figure = scaling.write(measured, folder) if folder is not None else None
-    document = tables.document(measured, before, figure)
+    document = markdown_tables.document(measured, before, figure)
     print(document, end="")
     if folder is not None:
         (folder / "results.md").write_text(document, encoding="utf-8")

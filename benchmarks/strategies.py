@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 import torch
-from tables import table
+from markdown_tables import table
 from tensordict import TensorDict
 from torchrl.data import Categorical, OneHot
 from torchrl.modules import EGreedyModule, QValueModule
