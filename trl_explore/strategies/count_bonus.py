@@ -206,13 +206,18 @@ class CountBonus(MixtureStrategy):
         """The table of a tabular policy [trials, n_actions, n_states], plus the bonus."""
         (weight,) = parameters
         self.visits.reserve(weight.shape[2], weight.shape[1])
-        visits = self.visits.counts.transpose(1, 2).to(weight.dtype)
+        visits = self._counts.transpose(1, 2).to(weight.dtype)
         trial = torch.arange(len(weight), device=weight.device)
         return [weight.detach() + self._bonus(visits, trial.unsqueeze(-1))]
 
     def _bonus(self, visits: Tensor, trial: Tensor | None) -> Tensor:
         """B in the shape of the counts."""
         return rows(self.beta, trial, visits) / (visits + 1).sqrt()
+
+    @property
+    def _counts(self) -> Tensor:
+        """N of each trial [trials, cells, n_actions]."""
+        return self.visits.counts
 
     def step(self, frames: TensorDictBase | int | None = None) -> None:
         """Count the frames of the iteration.
@@ -225,7 +230,7 @@ class CountBonus(MixtureStrategy):
             return
         valid = padding_mask(frames)
         action = self.index(read(frames, self.action_key)[valid])
-        n_actions = self.visits.counts.shape[-1]
+        n_actions = self._counts.shape[-1]
         if not n_actions:
             raise ValueError("CountBonus does not know the number of actions: give the spec")
         trial = self._trial(frames)

@@ -84,11 +84,7 @@ class Reexamined:
         return "becomes true" if self.corrected.verdict == HOLDS else "false either way"
 
 
-def _read(part: str) -> tuple[Claim, ...]:
-    text = Path(__file__).with_name("claims.yaml").read_text(encoding="utf-8")
-    entries: list[Mapping[str, Any]] = yaml.load(
-        text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    )[part]
+def _claims(entries: Sequence[Mapping[str, Any]]) -> tuple[Claim, ...]:
     return tuple(
         Claim(
             decide=decision({key: v for key, v in entry.items() if key in RULE_NAMES}),
@@ -98,9 +94,9 @@ def _read(part: str) -> tuple[Claim, ...]:
     )
 
 
-CLAIMS = _read("claims")
-CAUSES = _read("causes")
-"""Statements about the cause, which the thesis does not make."""
+_FILE = yaml.safe_load(Path(__file__).with_name("claims.yaml").read_text(encoding="utf-8"))
+CLAIMS, CAUSES = _claims(_FILE["claims"]), _claims(_FILE["causes"])
+"""The statements of the thesis, and those about the cause, which it does not make."""
 
 
 def check_claims(study: Study, claims: Sequence[Claim] = CLAIMS) -> list[Checked]:
