@@ -46,6 +46,7 @@ def test_names_of_jobs(overrides, expected):
         ("score_threshold", ["195", "195.0"]),
         ("score_threshold", ["100", "100.0"]),
         ("strategy.temperature", ["[1,2]", "[1, 2]"]),
+        ("+env.attributes.masscart", ["5", "5.0"]),
     ],
 )
 def test_one_value_has_one_name_however_it_is_spelt(key, spellings):

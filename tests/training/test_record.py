@@ -74,6 +74,7 @@ def test_divergence_goes_before_convergence_and_the_cap():
     enter(trials, [9.0, 9.0, 1.0], diverged=[True, False, True])
     assert trials.status.tolist() == ["diverged", "converged", "diverged"]
     assert trials.converged.tolist() == [False, True, False]
+    assert trials.passed.tolist() == [False, True, False]
     assert trials.active.tolist() == [False, False, False]
 
 

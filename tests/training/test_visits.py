@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 from trl_explore.envs import make_env
 from trl_explore.training.quantities import BINS, PLANES
-from trl_explore.training.snapshots import Visits
+from trl_explore.training.snapshots import Snapshots, Visits
 
 
 def frames(states, trials, n_states=16):
@@ -98,3 +98,13 @@ def test_an_environment_without_states_and_named_features_has_none():
     observation = torch.zeros(2, 50)
     visits.record(TensorDict({"observation": observation, "trial": torch.zeros(2).long()}, [2]))
     assert Visits.joined([visits]) is None
+
+
+def test_a_resumed_training_keeps_the_weights_that_it_was_asked_for_at_first():
+    policy = torch.nn.Linear(1, 1)
+    first, resumed = Snapshots(policy, [2, 5], 9), Snapshots(policy, [3], 9)
+    first.record(2)
+    resumed.load_state_dict(first.state_dict())
+    for iteration in (3, 4, 5):
+        resumed.record(iteration)
+    assert sorted(resumed.kept) == [2, 5]

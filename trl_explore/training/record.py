@@ -146,7 +146,7 @@ class Trials:
             self._passed_at[:, new] = self.iterations[new], self.frames[new]
         met = self._met(trial, learned)
         if met.any() or diverged.any() or self.iteration >= self.max_iterations:
-            self._stop(trial, met & ~diverged, diverged)
+            self._stop(trial, met, diverged)
 
     def _met(
         self, trial: NDArray[np.int64], learned: NDArray[np.bool_] | None
