@@ -12,7 +12,7 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from functools import lru_cache, wraps
+from functools import wraps
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -24,12 +24,10 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.plugins.sweeper import Sweeper
-from omegaconf import DictConfig, OmegaConf, base, open_dict
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from trl_explore.checks import first_line
 
-# Every job of a sweep holds the same references.
-base.parse = lru_cache(maxsize=512)(base.parse)  # pyright: ignore[reportPrivateImportUsage]
 VALIDATE = Sweeper.validate_batch_is_legal
 BASES = 100
 """Most choices of options whose files are kept."""
