@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import sys
 
 import pytest
@@ -30,6 +31,30 @@ CONFIG = {
 def digests(config):
     code._digest.cache_clear()
     return code_digests(config)
+
+
+def test_everything_that_computing_code_imports_is_in_the_digest():
+    """Checks of values change no result."""
+    files = [path for place in code.COMPUTING for path in code._sources(code.ROOT / place)]
+    known = {path.relative_to(code.ROOT.parent).with_suffix("").as_posix() for path in files}
+    imported = {
+        name
+        for path in files
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("trl_explore")
+        for name in _modules_of(node)
+    }
+    assert imported - known == {"trl_explore/checks"}
+
+
+def _modules_of(node):
+    """The modules that ``from package import name`` takes, which may be names of modules."""
+    place = node.module.replace(".", "/")
+    for alias in node.names:
+        for found in (f"{place}/{alias.name}", place, f"{place}/__init__"):
+            if (code.ROOT.parent / found).with_suffix(".py").is_file():
+                yield found
+                break
 
 
 def test_the_modules_of_the_user_are_those_that_the_configuration_names(mine):

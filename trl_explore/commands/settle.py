@@ -82,8 +82,8 @@ def _settle(arguments: argparse.Namespace) -> int:
     _report(jobs.sweep / VERDICTS, verdicts)
     used, most = sum(jobs.trials.values()), looks[-1] * len(names)
     still = sum(v.result == "open" for v in verdicts)
-    print(f"{used:,} trials of at most {most:,} ({100 * (1 - used / most):.0f} % saved)"
-          + f"; {still} of {len(verdicts)} pairs open" * bool(still))  # fmt: skip
+    rest = f"; {still} of {len(verdicts)} pairs open" if still else ""
+    print(f"{used:,} trials of at most {most:,} ({100 * (1 - used / most):.0f} % saved){rest}")
     print(f"results: {jobs.sweep}")
     return 0
 

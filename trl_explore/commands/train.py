@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import hydra
 from hydra._internal.utils import get_args_parser
@@ -21,9 +21,6 @@ from trl_explore.config.files import check_folder
 from trl_explore.jobs import signals
 from trl_explore.jobs.console import tell
 from trl_explore.jobs.signals import Interrupted
-
-if TYPE_CHECKING:
-    pass
 
 
 def main(action: Callable[[], int] | None = None) -> int:

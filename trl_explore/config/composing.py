@@ -207,7 +207,10 @@ def recompose(folder: Path, config_dir: Path | None = None) -> RecordedJob:
 
 @cache
 def _known(config_dir: Path | None) -> frozenset[str]:
-    """The objects that the files of ``conf/`` and of the user construct; no others are allowed."""
+    """The objects that the files of ``conf/`` and of the user construct; no others are allowed.
+
+    ``files_of`` searches the user's folder as well: ``config_dir`` is only the key of the cache.
+    """
     return frozenset(
         str(target)
         for group in GROUPS

@@ -48,6 +48,6 @@ def calling(group: str | None, call: Callable[[], Any]) -> Any:
     except MemoryError as error:
         line, cause = "not enough memory; reduce trials", error
     except (InstantiationException, ValueError, TypeError, OverflowError) as error:
-        within = isinstance(error, InstantiationException)
-        line, cause = describe((within and error.__cause__) or error), error
+        within = error.__cause__ if isinstance(error, InstantiationException) else None
+        line, cause = describe(within or error), error
     raise ConfigError(f"{group}: {line}" if group else line) from cause

@@ -73,7 +73,7 @@ def objective(outcomes: Outcomes, direction: str) -> float:
 
 
 def measured(outcomes: Outcomes) -> Outcomes:
-    """The outcomes by the measure of which the objective is the time."""
+    """The outcomes, judged by the event whose time is minimised."""
     if outcomes.config.get("stop_on") in ("learned", "both", "never"):
         return judged(outcomes, "passed" if outcomes.learned is None else "learned")
     return outcomes

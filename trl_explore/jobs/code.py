@@ -13,8 +13,11 @@ from trl_explore.jobs.columns import PACKAGES
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN = ROOT.name
-ROOMS = ("numerics", "strategies", "envs", "policies", "objectives", "collectors", "training")
-"""The rooms of this package whose code the results depend on."""
+COMPUTING = (
+    "numerics", "statistics/evaluations.py", "strategies", "envs", "policies", "objectives",
+    "collectors", "training",
+)  # fmt: skip
+"""The rooms and modules of this package whose code the results depend on."""
 
 
 def code_digests(config: Mapping[str, Any]) -> dict[str, str]:
@@ -70,13 +73,14 @@ def _files(name: str) -> tuple[Path, ...]:
     return _sources(path.parent) if path.name == "__init__.py" else (path,)
 
 
-def _sources(folder: Path) -> tuple[Path, ...]:
-    return tuple(sorted(folder.rglob("*.py")))
+def _sources(place: Path) -> tuple[Path, ...]:
+    """A module, or the modules in a folder."""
+    return (place,) if place.suffix else tuple(sorted(place.rglob("*.py")))
 
 
 @cache
 def _own() -> str:
-    return _digest(tuple(path for room in ROOMS for path in _sources(ROOT / room)))
+    return _digest(tuple(path for place in COMPUTING for path in _sources(ROOT / place)))
 
 
 @cache

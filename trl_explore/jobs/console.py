@@ -183,7 +183,7 @@ def warnings(jobs: Iterable[Outcomes]) -> list[str]:
     caps = sorted({job.cap for job in short})
     windows = sorted({job.window for job in short})
     return [
-        f"no trial could converge with max_iterations={'|'.join(map(str, caps))}: a score needs"
+        f"no trial could pass with max_iterations={'|'.join(map(str, caps))}: a score needs"
         f" score_window={'|'.join(map(str, windows))} episodes"
     ]
 

@@ -107,7 +107,7 @@ def clean(
         begins[:-1][back] = step[back]
         keep = step < np.minimum.accumulate(begins[::-1])[::-1][1:]
         notes.append(
-            f"restarted {_times(restarts)}, {_count(int((~keep).sum()), 'point')} replaced"
+            f"restarted {_count(restarts, 'time')}, {_count(int((~keep).sum()), 'point')} replaced"
         )
         step, score, finite = step[keep], score[keep], finite[keep]
     if bad := int((~finite).sum()):
@@ -123,10 +123,6 @@ def clean(
 
 def _count(n: int, word: str) -> str:
     return f"{n:,} {word}{'s' * (n != 1)}"
-
-
-def _times(n: int) -> str:
-    return _count(n, "time")
 
 
 def place_of(path: Path, folder: Path) -> str:

@@ -4,7 +4,7 @@ For every strategy that was run together with softmax, three questions:
 
 * *acting*: how much of its score in training is lost to its own exploration? The same weights are
   played with and without it.
-* *bias*: how much of what it learns later, or less, is due to the bias of its gradient? Either the
+* *bias*: how much of its slower or smaller learning is due to the bias of its gradient? Either the
   gradient is corrected on its own data (per-step ratio), or softmax gets the same bias on the data
   of softmax (``correction=as_if``).
 * *data*: what is left between corrected strategies, judged by what was learned?

@@ -164,7 +164,7 @@ def size_sentence(configurations: Sequence[Outcomes]) -> str:
         last = {name: line[largest] for name, line in panel.items() if largest in line}
         shares = [f"{strategy_label(n)} {c.converged.sum()} of {len(c)}" for n, c in last.items()]
         if shares:
-            texts.append(f"{title}: " * bool(title) + ", ".join(shares))
+            texts.append((f"{title}: " if title else "") + ", ".join(shares))
     return f"Passed at size {largest:g}: {'; '.join(texts)}."
 
 

@@ -23,7 +23,7 @@ from trl_explore.statistics.outcomes import Outcomes, convergence_times
 from trl_explore.statistics.pairing import configuration_key, deduplicate, trial_keys
 
 Say = Callable[[float, str], None]
-"""Told the share that is done, in [0, 1], and the stage that begins."""
+"""Called with the share that is done, in [0, 1], and the name of the next stage."""
 
 
 def silent(done: float, stage: str) -> None:

@@ -101,7 +101,9 @@ def _block(
         alike = some([words[c.name] for c in configurations
                       if c.durations.mean() == best.durations.mean()])  # fmt: skip
         return f"{alike} have the same mean, {mean} (difference {interval(fewer)})"
-    last = f", and {words[rest[-1].name]} {rest[-1].durations.mean():,.0f}" * (len(rest) > 1)
+    last = ""
+    if len(rest) > 1:
+        last = f", and {words[rest[-1].name]} {rest[-1].durations.mean():,.0f}"
     saved = f"{interval(fewer)} fewer than {words[rest[0].name]}"
     if not equals:
         return f"{words[best.name]} is fastest, {mean}, {saved}{last}"

@@ -39,7 +39,7 @@ WORDS = {
     "height": Words("mean learned score", "has", "points", "less"),
     "passing": Words("time to passing", "needs", "iterations", "fewer"),
 }
-"""Quantities of the headline: the first of which a share can be estimated, or that is known."""
+"""Of these the headline takes the first whose share can be estimated, else the first known."""
 
 
 def headline(found: Sequence[Decomposition]) -> tuple[str, ...]:

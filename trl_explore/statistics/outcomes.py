@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 STATUSES = ("converged", "capped", "diverged")
 MEASURES = ("passed", "learned")
 CUT_OFF = 0.1
-"""The largest share of trials stopped by the other rule of which a measure can be judged."""
+"""If the other rule stopped more than this share of trials, a measure cannot be judged."""
 PER_TRIAL = (
     "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
     "passed", "iterations_to_pass", "frames_to_pass",
@@ -112,7 +112,7 @@ class Outcomes:
 
     @property
     def cut_short(self) -> bool:
-        """Whether the cap comes before the first full window, so that no trial could converge."""
+        """Whether the cap comes before the first full window, so that no trial could pass."""
         per_update = self.config.get("episodes_per_update", 1)
         if self.judged_by != "training" or not isinstance(per_update, int):
             return False

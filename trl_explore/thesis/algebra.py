@@ -166,6 +166,7 @@ def _less(
         for selector, kind in zip((first, second), kinds, strict=True)
     )
     pairs = [(x, y) for x in a for y in b]
+    # Without a pair that has trials, an empty one makes the rule open.
     known = [pair for pair in pairs if all(map(len, pair))] or pairs[:1]
     found = [rules.mean_less(x, y) for x, y in known]
     return [rules.any_of(found)] if at_least_one else found

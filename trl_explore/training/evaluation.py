@@ -32,7 +32,7 @@ from trl_explore.strategies import (
 from trl_explore.training.ragged import flatten, unflatten
 
 SCHEDULED, CONFIRMATION, FINAL = range(3)
-"""Indices into ``learning.PURPOSES``."""
+"""Indices into ``statistics.evaluations.PURPOSES``."""
 _STATE = (
     "learned", "iterations_to_learn", "frames_to_learn", "learned_score", "_lowest", "_latest",
     "_looked",

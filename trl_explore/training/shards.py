@@ -41,7 +41,7 @@ def partition(trials: int, threads: int = 1) -> list[int]:
     """
     count = max(1, -(-trials // LARGEST), min(threads, trials // SMALLEST))
     if count >= threads:
-        count += -count % threads  # all threads have work until the end
+        count = threads * -(-count // threads)  # all threads have work until the end
     edges = [trials * k // count for k in range(count + 1)]
     return [high - low for low, high in pairwise(edges)]
 

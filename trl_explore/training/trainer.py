@@ -105,13 +105,13 @@ class Trainer:
 
     def run(self, stopped: Callable[[], bool] = lambda: False) -> Trials:
         """Train until every trial has stopped, or ``stopped()`` is true between iterations."""
-        before = self.seconds - clock() + self.evaluating
+        offset = self.seconds - clock() + self.evaluating  # seconds = offset + clock - evaluating
         if self.trials.iteration == 0:
             self._evaluate(0, self.trials.active, self.trials.frames)
             self._keep(0)
         while self.trials.active.any() and not stopped():
-            self._iterate(before)
-            self.seconds = before + clock() - self.evaluating
+            self._iterate(offset)
+            self.seconds = offset + clock() - self.evaluating
             if self.on_iteration is not None:
                 self.on_iteration(self.trials)
         if self.evaluator is not None and not self.trials.active.any():
@@ -170,7 +170,7 @@ class Trainer:
                 own = [column for column in columns if column.startswith(f"{name}.")]
                 part.load_history({c.removeprefix(f"{name}."): columns[c] for c in own})
 
-    def _iterate(self, before: float) -> None:
+    def _iterate(self, offset: float) -> None:
         active = self.trials.active
         self.optimizer.zero_grad()
         frames, scores, lengths = self.collector.collect(active)
@@ -183,7 +183,7 @@ class Trainer:
         self.loss.step(frames)
         self.collector.strategy.step(frames)
         diverged = self._diverged(trial_loss, active)
-        seconds = before + clock() - self.evaluating
+        seconds = offset + clock() - self.evaluating
         learned, iteration = None, self.trials.iteration + 1
         if self.evaluator is not None:
             learned = self.evaluator.learned

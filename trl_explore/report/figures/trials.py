@@ -22,6 +22,7 @@ RASTER_FROM = 400
 RASTER_FROM_ALL = 1000
 """The same for all rows together."""
 SPREAD = 0.28
+BINS = 50
 SHAPED_FROM = 100
 """From this number of points per row, the cloud takes the shape of the distribution."""
 
@@ -115,17 +116,17 @@ def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return offsets
 
 
-def crowding(values: NDArray[np.float64], bins: int = 50) -> NDArray[np.float64]:
+def crowding(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Width of the cloud of points at each value [n], in (0, 1]; 1 for few points.
 
-    For many points it is √(count of the value's bin / largest count) over ``bins`` equal bins: the
+    For many points it is √(count of the value's bin / largest count) over ``BINS`` equal bins: the
     cloud shows the density, and single points remain visible.
     """
     if len(values) <= SHAPED_FROM or values.min() == values.max():
         return np.ones(len(values))
-    edges = np.linspace(values.min(), values.max(), bins + 1)[1:-1]
+    edges = np.linspace(values.min(), values.max(), BINS + 1)[1:-1]
     place = np.searchsorted(edges, values, side="right")
-    counts = np.bincount(place, minlength=bins)
+    counts = np.bincount(place, minlength=BINS)
     return np.sqrt(counts[place] / counts.max())
 
 
