@@ -145,6 +145,7 @@ def test_the_list_of_commands():
     assert shown.returncode == 0
     assert [line.split()[0] for line in shown.stdout.splitlines()[2:-2]] == [
         "train", "settle", "tune", "report", "watch", "map", "status", "time", "verify",
+        "thesis",
     ]  # fmt: skip
     assert (wrong.returncode, wrong.stdout) == (1, "")
     assert wrong.stderr.startswith("error: unknown command 'tarin'; available: train, settle, ")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 from copy import deepcopy
-from functools import lru_cache
 from typing import Any, cast
 
 from hydra.errors import InstantiationException
@@ -14,6 +12,11 @@ from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.config.checking import describe
 from trl_explore.config.files import ConfigError
+
+KEPT = 64
+"""Most constructors that are kept."""
+_kept: dict[str, Callable[..., Any]] = {}
+"""Constructors whose configuration holds no other, by its text: Hydra is slow to make one."""
 
 
 def constructor_of(config: DictConfig, group: str) -> Callable[..., Any]:
@@ -30,13 +33,12 @@ def _constructor(node: DictConfig) -> Callable[..., Any]:
     plain = OmegaConf.to_container(node, resolve=True)
     if "_target_" in str(list(cast(dict[str, Any], plain).values())):
         return instantiate(node, _convert_="all", _partial_=True)
-    return deepcopy(_plain_constructor(pickle.dumps(plain)))
-
-
-@lru_cache(maxsize=64)
-def _plain_constructor(plain: bytes) -> Callable[..., Any]:
-    """The constructor of a configuration that holds no other; Hydra takes milliseconds for it."""
-    return instantiate(pickle.loads(plain), _convert_="all", _partial_=True)
+    key = repr(plain)
+    if key not in _kept:
+        if len(_kept) >= KEPT:
+            _kept.clear()
+        _kept[key] = instantiate(plain, _convert_="all", _partial_=True)
+    return deepcopy(_kept[key])
 
 
 def calling(group: str | None, call: Callable[[], Any]) -> Any:
