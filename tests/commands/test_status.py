@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from trl_explore.jobs.checkpoint import Store, pack
 from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.lock import Lock
 from trl_explore.jobs.reading import find_jobs, read_run
+from trl_explore.jobs.signals import Interrupted
 from trl_explore.jobs.sweeps import report, survey
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "status.py"
@@ -298,3 +300,26 @@ def test_only_the_temporary_files_of_ended_processes_are_removed(tmp_path):
     sweeps.end_sweep(tmp_path)
     assert kept.exists()
     assert not left.exists()
+
+
+def test_a_traceback_that_the_user_asked_for(monkeypatch):
+    monkeypatch.setenv(main.TRACEBACK, "1")
+
+    def fail(name):
+        raise PermissionError(13, "Permission denied", "/somewhere/file")
+
+    monkeypatch.setattr(main, "import_module", fail)
+    with pytest.raises(PermissionError):
+        main.main(["status", "."])
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
+def test_the_status_of_a_signal(monkeypatch, capsys, name):
+    signum = signal.Signals[name]
+
+    def fail(_):
+        raise Interrupted(signum)
+
+    monkeypatch.setattr(main, "import_module", fail)
+    assert main.main(["report", "."]) == 128 + signum
+    assert capsys.readouterr().err.count("\n") == 1

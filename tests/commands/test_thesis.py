@@ -19,8 +19,9 @@ def run(monkeypatch):
     return run
 
 
-def test_every_step_works_on_the_folders_of_the_same_study(run, monkeypatch, tmp_path):
-    monkeypatch.setattr("sys.argv", ["trl-explore thesis", "--out", str(tmp_path / "it's")])
+@pytest.mark.parametrize("name", ["it's", r"back\slash", r"a\'b", "tail\\", "a b", "x${y}", "ü"])
+def test_every_step_works_on_the_folders_of_the_same_study(run, monkeypatch, tmp_path, name):
+    monkeypatch.setattr("sys.argv", ["trl-explore thesis", "--out", str(tmp_path / name)])
     status, steps = run([0] * 6)
     assert status == 0
     trained = set()
@@ -30,7 +31,7 @@ def test_every_step_works_on_the_folders_of_the_same_study(run, monkeypatch, tmp
         trained.add(f"{place.value()}/{experiment.partition('=')[2]}")
     assert {step[1] for step in steps[3:5]} < trained
     assert set(steps[5][2:5]) == trained
-    assert steps[5][5:] == ["--out", str(tmp_path / "it's" / "report")]
+    assert steps[5][5:] == ["--out", str(tmp_path / name / "report")]
 
 
 def test_a_step_that_fails_is_the_last_one(run, monkeypatch):

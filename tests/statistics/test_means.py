@@ -230,5 +230,10 @@ def test_the_interval_of_a_mean_score_keeps_to_the_range_of_the_environment(make
     assert (e.low, e.high) == (pytest.approx(485 - 12.706 * 5, abs=0.1), 500)
     one = make([1000] * 3, score=[0.9, 1.0, 1.0], threshold=2, config=config("FrozenLake8x8-v1"))
     assert summarise_scores(samples.scores(one)).mean.high == 1.0
+    # sutton_barto_reward=True: the scores are between -1 and 0, and their range is not known.
+    other = make([1000, 1000], score=[-0.5, -0.6], threshold=600, config=config("CartPole-v1"))
+    e = mean_interval(samples.scores(other))
+    assert e.low == pytest.approx(-0.55 - 12.706 * 0.05, abs=0.01)
+    assert e.high == pytest.approx(-0.55 + 12.706 * 0.05, abs=0.01)
     unknown = make([1000, 1000], score=[480.0, 490.0], threshold=600, config=config("My-v0"))
     assert mean_interval(samples.scores(unknown)).high > 500

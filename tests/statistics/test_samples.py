@@ -40,7 +40,8 @@ def test_scores_have_two_rare_kinds(make):
     assert s.ordinary.tolist() == [False, True, False]
     unknown = samples.scores(make([150, 1000])).kinds
     assert (unknown[0].least, unknown[1].most) == (-np.inf, np.inf)
-    acrobot = make([150], config={"env": {"id": "Acrobot-v1", "max_steps": 500}}, threshold=-100)
+    env = {"env": {"id": "Acrobot-v1", "max_steps": 500}}
+    acrobot = make([150], score=[-90.0], config=env, threshold=-100)
     assert samples.scores(acrobot).kinds[0].least == -500
 
 

@@ -78,6 +78,15 @@ def test_inverse_cdf_at_the_edges_of_the_noise():
     assert inverse_cdf(torch.tensor([0.5, 0.5]), torch.tensor(1.0)).item() == 1
 
 
+def test_noise_may_have_any_strides():
+    """torch warns of a search for values that are not contiguous."""
+    noise = torch.rand(4, 50, dtype=torch.float64).t()
+    data = TensorDict({"logits": torch.randn(50, 4, 3), "noise": noise}, [50, 4])
+    plain = data.clone().set("noise", noise.contiguous())
+    act = Softmax(noise_key="noise")
+    assert torch.equal(act(data)["action"], act(plain)["action"])
+
+
 def test_inverse_cdf_where_the_sum_is_not_one():
     # Ten times float32's 0.1 is more than 1, and a third of float32 three times is not 1.
     u = torch.tensor([0.0, 0.0999, 0.55, ALMOST_ONE], dtype=torch.float64)

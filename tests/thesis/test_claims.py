@@ -226,6 +226,17 @@ def test_missing_data_are_not_measured(builder, claim):
     assert finding(replace(study, outcomes=[]), claim.id).verdict == "not measured"
 
 
+def test_a_claim_about_no_value_is_not_measured(builder):
+    """Nothing is above the median of a grid of one value."""
+    study = builder.study()
+    others = [o for o in study.outcomes if o.experiment != "decay_grid"]
+    grid = study.grid("decay_grid", "decay")
+    for rate in (0.99, max(grid)):
+        alone = replace(study, outcomes=[*others, grid[rate]])
+        found = finding(alone, "decay_grid.higher_rates_pass")
+        assert (found.verdict, bool(found.evidence)) == ("not measured", True)
+
+
 def thesis_strategy(o: Outcomes) -> str:
     return o.strategy if o.experiment == "thesis" else ""
 

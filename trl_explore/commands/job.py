@@ -17,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from trl_explore import config as configuration
 from trl_explore import jobs as results
+from trl_explore.commands.main import TRACEBACK
 from trl_explore.config import ConfigError, objective, sweeping
 from trl_explore.config.sweeping import Process
 from trl_explore.jobs import signals
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
 
 EXPECTED = (ValueError, OmegaConfBaseException, OSError, MemoryError)
 """Errors whose message suffices; other messages are prefixed with the type of the error."""
-TRACEBACK = "TRL_EXPLORE_TRACEBACK"
-"""Environment variable, inherited by workers; empty unless the user asked for full tracebacks."""
 
 
 def run(config: DictConfig) -> float | list[float] | None:

@@ -27,6 +27,8 @@ COMMANDS = {
     "verify": "run finished jobs again and compare the results",
     "thesis": "run the thesis's experiments, time single trials, and write the report",
 }
+TRACEBACK = "TRL_EXPLORE_TRACEBACK"
+"""Environment variable, inherited by workers; empty unless the user asked for full tracebacks."""
 LABORATORY = {
     "gymnasium", "hydra", "jinja2", "matplotlib", "numba", "omegaconf", "pandas", "rich",
     "safetensors", "scipy", "yaml",
@@ -70,20 +72,24 @@ def main(words: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader, such as "| head", has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + 13
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
-    except OSError as error:  # a file or folder that no command expects to be unreadable
-        place = f"{error.filename}: " if error.filename else ""
-        print(f"error: {place}{error.strerror or error}", file=sys.stderr)
-        return 1
-    except ModuleNotFoundError as error:
-        if error.name not in LABORATORY:
+    except KeyboardInterrupt as error:
+        print(str(error) or "interrupted", file=sys.stderr)
+        return getattr(error, "status", 130)
+    except (OSError, ModuleNotFoundError) as error:
+        if os.environ.get(TRACEBACK) or not (text := _explained(error)):
             raise
-        print(
-            f"error: {error.name} is not installed: pip install 'trl_explore[lab]'", file=sys.stderr
-        )
+        print(f"error: {text}", file=sys.stderr)
         return 1
+
+
+def _explained(error: OSError | ModuleNotFoundError) -> str:
+    """An error of the system, not of the program, in one line; otherwise nothing."""
+    if isinstance(error, OSError):  # a file or folder that no command expects to be unreadable
+        place = f"{error.filename}: " if error.filename else ""
+        return f"{place}{error.strerror or error}"
+    if error.name in LABORATORY:
+        return f"{error.name} is not installed: pip install 'trl_explore[lab]'"
+    return ""
 
 
 def _asked(name: str, words: Sequence[str]) -> tuple[str, list[str]]:

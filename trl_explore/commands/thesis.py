@@ -7,6 +7,7 @@ command continues an interrupted study.
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from pathlib import Path
 
@@ -43,7 +44,8 @@ def _steps(out: Path) -> list[list[str]]:
     """The words of every step for a study in this folder."""
     folders = {words[1].partition("=")[2] for words in STEPS} - {""}
     steps = [[str(out / word) if word in folders else word for word in step] for step in STEPS]
-    quoted = str(out).replace("\\", "\\\\").replace("'", "\\'")
+    # Hydra's grammar takes a backslash as it is, unless a quote or the end follows.
+    quoted = re.sub(r"(\\*)('|$)", lambda m: m[1] * 2 + m[2].replace("'", "\\'"), str(out))
     for step in steps:
         if step[0] == "train":
             step.append(f"output_dir='{quoted}'")

@@ -112,7 +112,7 @@ def main() -> int:
     except configuration.ERRORS as error:
         tell(configuration.describe(error))
         return 1
-    except KeyboardInterrupt:
-        print("interrupted; nothing was written", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as error:
+        print(f"{str(error) or 'interrupted'}; nothing was written", file=sys.stderr)
+        return getattr(error, "status", 130)
     return 0

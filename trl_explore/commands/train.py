@@ -15,7 +15,8 @@ from hydra._internal.utils import get_args_parser
 from hydra.errors import HydraException
 
 from trl_explore import config as configuration
-from trl_explore.commands.job import EXPECTED, TRACEBACK, run
+from trl_explore.commands.job import EXPECTED, run
+from trl_explore.commands.main import TRACEBACK
 from trl_explore.config import CONF, ConfigError, objective, sweeping
 from trl_explore.config.files import check_folder
 from trl_explore.jobs import signals

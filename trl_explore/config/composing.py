@@ -33,9 +33,11 @@ from trl_explore.config.files import (
     ConfigError,
     check_folder,
     files_of,
+    load,
     search_in,
 )
 from trl_explore.config.naming import register_resolvers
+from trl_explore.jobs.columns import EVALUATIONS
 from trl_explore.jobs.reading import find_jobs, read_run, read_trials
 
 if TYPE_CHECKING:
@@ -202,6 +204,8 @@ def recompose(folder: Path, config_dir: Path | None = None) -> RecordedJob:
     changed = [d for d in differences(run["config"], values) if "._" not in d]
     if changed:
         raise ConfigError(f"{folder}: conf/ has changed since the job ran ({'; '.join(changed)})")
+    if config.evaluate_every == "auto" and not (folder / EVALUATIONS).is_file():
+        config.evaluate_episodes = load("train").evaluate_episodes  # older versions ignored it
     return RecordedJob(folder, run["experiment"], config, read_trials(folder))
 
 

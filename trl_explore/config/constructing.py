@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import deepcopy
+from functools import partial
 from typing import Any, cast
 
 from hydra.errors import InstantiationException
-from hydra.utils import instantiate
+from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.config.checking import describe
@@ -15,8 +16,11 @@ from trl_explore.config.files import ConfigError
 
 KEPT = 64
 """Most constructors that are kept."""
-_kept: dict[str, Callable[..., Any]] = {}
-"""Constructors whose configuration holds no other, by its text: Hydra is slow to make one."""
+_kept: dict[str, tuple[Any, partial[Any]]] = {}
+"""The target, and its constructor, of configurations that hold no other, by their text.
+
+Hydra is slow to make one.
+"""
 
 
 def constructor_of(config: DictConfig, group: str) -> Callable[..., Any]:
@@ -30,15 +34,17 @@ def constructor_of(config: DictConfig, group: str) -> Callable[..., Any]:
 
 def _constructor(node: DictConfig) -> Callable[..., Any]:
     """``node`` with its own arguments; every agent gets objects of its own in them."""
-    plain = OmegaConf.to_container(node, resolve=True)
-    if "_target_" in str(list(cast(dict[str, Any], plain).values())):
+    plain = cast(dict[str, Any], OmegaConf.to_container(node, resolve=True))
+    nested = "_target_" in str(list(plain.values()))
+    if nested or not isinstance(plain.get("_target_"), str):
         return instantiate(node, _convert_="all", _partial_=True)
-    key = repr(plain)
-    if key not in _kept:
+    target, (before, made) = get_object(plain["_target_"]), _kept.get(repr(plain), (None, None))
+    if made is None or before != target:  # a notebook may have defined a class again
         if len(_kept) >= KEPT:
             _kept.clear()
-        _kept[key] = instantiate(plain, _convert_="all", _partial_=True)
-    return deepcopy(_kept[key])
+        made = instantiate(plain, _convert_="all", _partial_=True)
+        _kept[repr(plain)] = target, made
+    return partial(target, *deepcopy(made.args), **deepcopy(made.keywords))
 
 
 def calling(group: str | None, call: Callable[[], Any]) -> Any:

@@ -60,9 +60,10 @@ class Run:
         if self.learned is not None:
             found |= {"learning": iterations(self.learned), "learned_score": scores(self.learned)}
         if (h := self.heights) is not None:
-            keys, bounds = tuple(h.keys), score_range(self.group("env"))
+            keys = tuple(h.keys)
             passed = np.ones(len(keys), dtype=np.bool_)
             heights = {"height": h.learned, "behaved": h.behaved, "evaluated": h.evaluated}
+            bounds = score_range(self.group("env"), np.concatenate(list(heights.values())))
             found |= {k: Sample(k, "", x, passed, keys, bounds=bounds) for k, x in heights.items()}
             found["handicap"] = Sample("handicap", "", h.evaluated - h.behaved, passed, keys)
         return found

@@ -57,9 +57,7 @@ class Estimate:
         >>> Estimate(0.9, 0.5, 1.3).within(0.0, 1.0)
         Estimate(value=0.9, low=0.5, high=1.0, level=0.95)
         """
-        # A wrapper of the environment may have changed its rewards: the value stays inside.
-        low, high = min(least, self.value), max(most, self.value)
-        return replace(self, low=max(self.low, low), high=min(self.high, high))
+        return replace(self, low=max(self.low, least), high=min(self.high, most))
 
 
 def check_level(level: float) -> None:

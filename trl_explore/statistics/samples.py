@@ -170,7 +170,7 @@ def scores(o: Outcomes, label: str = "") -> Sample:
     """
     score = np.asarray(o.score, dtype=np.float64)
     converged, known = np.asarray(o.converged, dtype=bool), np.isfinite(score)
-    least, most = score_range(o.config.get("env"))
+    least, most = score_range(o.config.get("env"), score[known])
     highest = float(score[~converged & known].max(initial=o.threshold))
     kinds = [Kind(~converged, least, highest)]
     per_update = o.config.get("episodes_per_update", 1)
@@ -181,15 +181,18 @@ def scores(o: Outcomes, label: str = "") -> Sample:
     return replace(found, bounds=(least, most)).at(np.flatnonzero(known))
 
 
-def score_range(env: Any) -> tuple[float, float]:
+def score_range(env: Any, found: ArrayLike = ()) -> tuple[float, float]:
     """The least and the highest score of an episode in a configured environment.
 
-    Infinite for environments that are not in ``SCORES``.
+    Infinite for environments that are not in ``SCORES``, and if a score that was found lies
+    outside: a wrapper or an argument of the environment has changed its rewards.
     """
     if not isinstance(env, Mapping):
         return -inf, inf
     bounds, steps = SCORES.get(re.sub(r"-v\d+$", "", str(env.get("id")))), env.get("max_steps")
-    return bounds(float(steps or inf)) if bounds else (-inf, inf)
+    least, most = bounds(float(steps or inf)) if bounds else (-inf, inf)
+    inside = all(least <= score <= most for score in np.ravel(found))
+    return (least, most) if inside else (-inf, inf)
 
 
 SCORES: Mapping[str, Callable[[float], tuple[float, float]]] = {

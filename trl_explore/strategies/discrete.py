@@ -182,7 +182,7 @@ class Strategy(BaseStrategy):
         sound = self._check(total, 0.0, logits, tensordict)
         point = (noise * total).unsqueeze(dim)
         if sound and dim == -1:
-            action = torch.searchsorted(cdf, point, right=True)
+            action = torch.searchsorted(cdf, point.contiguous(), right=True)
         else:
             action = (cdf <= point).sum(dim, keepdim=True)  # 0 for NaN
         return action.squeeze(dim), probs.gather(dim, action).squeeze(dim)

@@ -62,7 +62,7 @@ def find(study: Study, selector: Any) -> dict[str, Outcomes]:
     if isinstance(selector, Mapping) and "corrections" in selector:
         name, called = selector["strategy"], strategy_label(selector["strategy"])
         found = study.corrected(name, selector["corrections"])
-        return {f"{called} with {option_label('correction', k)}": o for k, o in found.items()}
+        return {f"{called}, {option_label('correction', k)}": o for k, o in found.items()}
     if isinstance(selector, Mapping):
         names = [name for name in study.strategies if name != selector["but"]]
     else:
@@ -71,25 +71,40 @@ def find(study: Study, selector: Any) -> dict[str, Outcomes]:
 
 
 def _of_grid(
-    study: Study, grid: str, value: float | None = None, but: float | None = None, above: str = ""
+    study: Study,
+    grid: str,
+    value: float | None = None,
+    but: float | None = None,
+    above: str = "",
+    needs: float | None = None,
 ) -> dict[str, Outcomes]:
-    found, called, chosen = study.grid(f"{grid}_grid", grid), symbol(grid), but or value
-    if chosen is not None and (chosen not in found or len(found) < 2):
-        raise NotMeasuredError(
-            f"the grid of {called} needs {chosen:g} and at least one other value"
-        )
+    found, called = study.grid(f"{grid}_grid", grid), symbol(grid)
+    for chosen in (value, but, needs):
+        if chosen is not None and (chosen not in found or len(found) < 2):
+            raise NotMeasuredError(
+                f"the grid of {called} needs {chosen:g} and at least one other value"
+            )
     least = float(np.median(list(found))) if above else -np.inf
     how = f", {option_label('correction', study.correction)}" if study.correction else ""
-    return {
+    chosen = {
         f"{called} = {x:g}{how}": o
         for x, o in found.items()
         if value in (None, x) and x != but and x > least
     }
+    if not chosen:  # a rule over nothing would hold
+        raise NotMeasuredError(f"no value of the grid of {called} is above the median")
+    return chosen
 
 
 def _trials_of(label: str) -> str:
-    """The trials of a configuration: ``softmax trials``, ``trials with T = 1.5``."""
-    return f"trials with {label}" if " = " in label else f"{label} trials"
+    """The trials of a configuration.
+
+    >>> _trials_of("argmax, uncorrected"), _trials_of("T = 1.5, per-step ratio")
+    ('argmax trials (uncorrected)', 'trials with T = 1.5 (per-step ratio)')
+    """
+    name, _, how = label.partition(", ")
+    trials = f"trials with {name}" if " = " in name else f"{name} trials"
+    return f"{trials} ({how})" if how else trials
 
 
 def decision(entry: Entry, find: Finder = find) -> Decision:
@@ -147,7 +162,9 @@ def _samples(
     whole = [study.sample(o, unit, label) for label, o in found.items()]
     if not among:
         return whole
-    return [s.only(s.converged == (among == "passing"), f"{among} {s.label}") for s in whole]
+    passing = among == "passing"
+    word = among if study.measure != "learned" else "learning" if passing else "not learning"
+    return [s.only(s.converged == passing, f"{word} {s.label}") for s in whole]
 
 
 def _less(
