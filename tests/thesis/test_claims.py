@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.thesis.conftest import BY_ID, Builder, N, finding, times
 from trl_explore.statistics.comparisons import compare_all
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.power import trials_to_settle
-from trl_explore.thesis import CLAIMS, VERDICTS, Claim, Study, check_claims
+from trl_explore.thesis import CLAIMS, VERDICTS, Claim, Study, check_claims, claims
 from trl_explore.thesis.study import CAPS, STRATEGIES
 
 
@@ -258,6 +261,34 @@ def test_claims_are_complete_data():
         assert claim.definition.endswith(".")
         assert claim.place.startswith(("§", "Results", "Discussion"))
     assert VERDICTS == ("holds", "does not hold", "open", "not measured")
+
+
+def test_every_bound_is_that_of_the_definition():
+    """The words say what the rule asks: "more than 80 %" is a bound of 0.8."""
+    file = yaml.safe_load((Path(claims.__file__).with_name("claims.yaml")).read_text("utf-8"))
+    before = ""
+    for entry in (*file["claims"], *file["causes"]):
+        text = " ".join(entry["definition"].split()).replace("half", "50 %")
+        text += before if text.startswith("As for") else ""
+        rule = {k: v for k, v in entry.items() if k not in ("id", "place", "statement")}
+        for bound in _bounds(rule):
+            said = (f"{100 * bound:g} %", f"{bound:g}", f"{1 / bound:g}" if bound else "0")
+            exact = (rf"(?<![\d.]){re.escape(number)}(?!\d|\.\d)" for number in said)
+            assert any(re.search(form, text) for form in exact), (entry["id"], bound, text)
+        before = text
+
+
+def _bounds(node: Any) -> Iterator[float]:
+    if isinstance(node, dict):
+        for key, value in node.items():
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if number and key in ("above", "below", "low", "high"):
+                yield value
+            else:
+                yield from _bounds(value)
+    elif isinstance(node, list):
+        for value in node:
+            yield from _bounds(value)
 
 
 def test_time_claims_say_for_which_cost_of_an_iteration_they_hold(make):
