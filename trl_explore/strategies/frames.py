@@ -26,9 +26,13 @@ def read(tensordict: TensorDictBase, key: NestedKey) -> Tensor:
     return value
 
 
+PADDING = ("collector", "mask")
+"""The key of the mask that TorchRL's ``split_trajs`` writes; without it, there is no padding."""
+
+
 def padding_mask(data: TensorDictBase) -> Tensor:
     """Whether a frame is one of the data, not padding of TorchRL's ``split_trajs`` [*batch]."""
-    mask = data.get(("collector", "mask"), None)
+    mask = data.get(PADDING, None)
     if mask is None:
         return torch.ones(data.batch_size, dtype=torch.bool, device=data.device)
     return mask.reshape(data.batch_size)

@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from trl_explore.checks import check_integer
-from trl_explore.strategies.frames import padding_mask, readable
+from trl_explore.strategies.frames import PADDING, padding_mask, readable
 from trl_explore.strategies.schedules import (
     Constant,
     Parameter,
@@ -164,11 +164,11 @@ class Parametrised(TensorDictModuleBase):
         if frames is None:
             return 1
         if isinstance(frames, TensorDictBase):
-            valid = padding_mask(frames)
             if self.frames.ndim:
-                trial = frames.get(self.trial_key)[valid]
+                trial = frames.get(self.trial_key)[padding_mask(frames)]
                 return torch.bincount(trial, minlength=len(self.frames)).to(self.frames.device)
-            return int(valid.sum())
+            mask = frames.get(PADDING, None)
+            return frames.batch_size.numel() if mask is None else int(mask.sum())
         number = check_integer("the number of frames", frames, 0)
         for name, schedule in self.schedules.items():
             if number > 1 and schedule.clock != "frames" and type(schedule) is not Constant:
