@@ -13,7 +13,7 @@ from trl_explore.envs import LaneVectorEnv, lane_env, make_env
 
 
 class Counting(gym.Env):
-    """Counts its own steps; ends after as many as the next number of ``lengths`` says."""
+    """Counts its own steps; the next number of ``lengths`` is the length of its episode."""
 
     observation_space = spaces.Box(-np.inf, np.inf, (2,), np.float32)
     action_space = spaces.Discrete(2)

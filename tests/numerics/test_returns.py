@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.objectives.episodes import discount_rewards
 from trl_explore.numerics.returns import return_to_go
 
 # float64 is compiled where trials are given; nothing is compiled for complex numbers.
@@ -15,16 +16,6 @@ VECTORS = [
     np.random.default_rng(1).normal(size=500).tolist(),
     [1.0] * 200,
 ]
-
-
-def discount_rewards(r, gamma):
-    """take 1D float array of rewards and compute discounted reward (thesis, A.2)"""
-    discounted_r = np.zeros_like(r)
-    running_add = 0
-    for t in reversed(range(0, r.size)):
-        running_add = running_add * gamma + r[t]
-        discounted_r[t] = running_add
-    return discounted_r
 
 
 def ends(*frames, size):

@@ -217,7 +217,7 @@ INDEXED = (SoftmaxCategorical, TorchCategorical, MaskedCategorical)
 def fitted(action: Tensor, shape: torch.Size, n_actions: int | None = None) -> Tensor:
     """The actions in a shape, so that [n] and [n, 1] do not broadcast to [n, n].
 
-    They are one-hot [*shape, n_actions] if ``n_actions`` is given, or have as many entries.
+    One-hot actions [*shape, n_actions] become indices; others are reshaped if their number fits.
 
     Example:
         >>> fitted(torch.tensor([[0, 1], [1, 0]]), torch.Size([2]), 2).tolist()

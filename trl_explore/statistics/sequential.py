@@ -57,7 +57,7 @@ class Verdict:
 
 
 def planned_looks(first: int, most: int) -> list[int]:
-    """The number of trials of each look: ``first``, then ``GROWTH`` times as many, up to ``most``.
+    """The number of trials of each look, from ``first`` to ``most``; each is ``GROWTH`` × the last.
 
     Raises:
         ValueError: not 2 ≤ first ≤ most.
