@@ -24,7 +24,8 @@ Medical Research 21 (2012); Newcombe, Statistics in Medicine 17 (1998), 2635-265
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
 from math import comb, exp, hypot, inf, isinf, log, nan, sqrt
 
@@ -75,6 +76,10 @@ class MeanDifference:
     correlation: float
     variance_ratio: float
     at: Callable[[float], Estimate] = field(repr=False, compare=False)
+
+    def to(self, level: float) -> MeanDifference:
+        """The same at another level; only the estimate's interval depends on it."""
+        return replace(self, estimate=self.at(level))
 
     def sign(self) -> int:
         """-1 or +1 if the interval, and so the test, excludes zero, otherwise 0."""
@@ -228,8 +233,8 @@ def mean_difference(a: Sample, b: Sample, *, level: float = LEVEL) -> MeanDiffer
     x, y = a.values, b.values
     value, n = float(x.mean() - y.mean()), min(len(x), len(y))
     if n < 2:
-        nothing = Estimate(value, nan, nan, level)
-        return MeanDifference(nothing, 1.0, n, paired, nan, nan, nan, lambda level: nothing)
+        nothing = partial(Estimate, value, nan, nan)
+        return MeanDifference(nothing(level), 1.0, n, paired, nan, nan, nan, nothing)
     first, second = distances(a), distances(b)
     r, phi = (_correlation(a, b), _phi(a, b)) if paired else (0.0, 0.0)
     floor = least_p(len(x), len(y), paired=paired)
