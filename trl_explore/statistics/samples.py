@@ -211,6 +211,8 @@ SCORES: Mapping[str, Callable[[float], tuple[float, float]]] = {
 
 def common_trials(a: Sample, b: Sample) -> tuple[Sample, Sample, bool]:
     """The common trials of two samples, as pairs; both samples, unpaired, if there are none."""
+    if a.keys == b.keys:
+        return a, b, len(a) > 0
     i, j = common(a.keys, b.keys)
     return (a.at(i), b.at(j), True) if len(i) else (a, b, False)
 
