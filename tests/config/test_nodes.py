@@ -4,11 +4,12 @@ from copy import deepcopy
 from typing import Any, cast
 
 import pytest
-from omegaconf import OmegaConf, base
+from hydra import compose
+from omegaconf import OmegaConf, base, open_dict
 from omegaconf.errors import GrammarParseError, ReadonlyConfigError
 
 from tests.config.composed import composed
-from trl_explore.config.nodes import save_work
+from trl_explore.config.nodes import save_work, to_yaml
 
 pytestmark = pytest.mark.usefixtures("hydra")
 
@@ -51,3 +52,37 @@ def test_a_kept_parse_tree_gives_the_value_of_now_and_of_its_own_place():
     for _ in range(2):  # an error is not kept, and not lost
         with pytest.raises(GrammarParseError):
             parse("${a.b")
+
+
+ATTRIBUTES = "+env.attributes={a: 1, b: true, c: 1.0, d: null, e: [1, {f: '1'}]}"
+
+
+@pytest.mark.parametrize(
+    "words", [[], ["+env.kwargs.s='ä: x\n#b'", "strategy=mixture"], [ATTRIBUTES]]
+)
+def test_the_yaml_text_is_that_of_omegaconf_and_depends_on_no_text_before_it(words):
+    config = compose("train", overrides=words, return_hydra_config=True)
+    with open_dict(config):
+        config.hydra.job.num, config.hydra.job.id = 3, "x"
+        config.hydra.runtime.output_dir = "/a/" + "long name " * 30
+    for node in (config, OmegaConf.masked_copy(config, "hydra"), OmegaConf.create()):
+        for _ in range(2):
+            assert to_yaml(node) == OmegaConf.to_yaml(node)
+    values = [
+        "1",
+        1,
+        1.0,
+        True,
+        None,
+        "yes",
+        "",
+        [],
+        {},
+        [[]],
+        {"hydra": {"job": 1}},
+        "a\nb",
+        "é\u2028",
+    ]
+    for value in values:  # values that are alike follow each other
+        for node in ({"a": value}, {"hydra": {"job": value}}, {"job": {"hydra": {"x": value}}}):
+            assert to_yaml(OmegaConf.create(node)) == OmegaConf.to_yaml(OmegaConf.create(node))

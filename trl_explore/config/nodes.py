@@ -1,7 +1,8 @@
-"""OmegaConf's nodes, copied and read with less work; what is copied and read stays the same.
+"""OmegaConf's nodes, copied, read and written with less work, and with the same result.
 
 A job is copied several times on its way through Hydra, and most of the time of a copy is spent on
-the notes that each node keeps about itself. An interpolation is parsed again at every access.
+the notes that each node keeps about itself. An interpolation is parsed again at every access. Most
+lines of a job's YAML files are those of the job before it.
 """
 
 from __future__ import annotations
@@ -9,13 +10,21 @@ from __future__ import annotations
 from collections import defaultdict
 from copy import deepcopy
 from functools import cache, lru_cache
-from typing import Any
+from typing import Any, cast
 
-from omegaconf import base
+import yaml
+from omegaconf import DictConfig, OmegaConf, base
+from omegaconf._utils import get_omega_conf_dumper
 from omegaconf.base import ContainerMetadata, Metadata
 
 PARSED = 256
 """Most interpolations whose parse tree is kept."""
+WRITTEN = 1000
+"""Most values whose YAML text is kept."""
+DIVIDED = ("hydra", "job", "runtime")
+"""The mappings of which some values differ between the jobs of a sweep, and most do not."""
+_texts: dict[tuple[tuple[str, ...], str, str], str] = {}
+"""The YAML text of a value, by the keys above it, its own key and its ``repr``."""
 
 
 @cache
@@ -34,3 +43,32 @@ def _copied(notes: Metadata, memo: dict[int, Any]) -> Metadata:
     kept = notes.resolver_cache
     copy.resolver_cache = deepcopy(kept, memo) if kept else defaultdict(dict)
     return copy
+
+
+def to_yaml(config: DictConfig) -> str:
+    """The text that ``OmegaConf.to_yaml`` gives."""
+    plain = OmegaConf.to_container(config, enum_to_str=True)
+    return _block(cast(dict[str, Any], plain), ()) or OmegaConf.to_yaml(config)
+
+
+def _block(plain: dict[str, Any], above: tuple[str, ...]) -> str:
+    text = ""
+    for name, value in plain.items():
+        if name in DIVIDED and isinstance(value, dict) and value:
+            inner = cast(dict[str, Any], value)
+            text += f"{'  ' * len(above)}{name}:\n{_block(inner, (*above, name))}"
+            continue
+        key = above, name, repr(value)
+        if key not in _texts:
+            if len(_texts) >= WRITTEN:
+                _texts.clear()
+            node = {name: value}
+            for outer in reversed(above):
+                node = {outer: node}
+            lines = yaml.dump(
+                node, default_flow_style=False, allow_unicode=True, sort_keys=False,
+                Dumper=get_omega_conf_dumper(),
+            ).splitlines(keepends=True)  # fmt: skip
+            _texts[key] = "".join(lines[len(above) :])
+        text += _texts[key]
+    return text
