@@ -30,6 +30,8 @@ def test_a_copy_is_equal_in_all_that_a_node_knows_and_shares_nothing():
         for name in ["", *(str(key) for key in config)]:
             old, new = (x._get_node(name) if name else x for x in (config, copy))
             assert vars(old._metadata) == vars(new._metadata)
+            assert vars(old).keys() == vars(new).keys()
+            assert new._get_parent() is (copy if name else None)
             assert type(old._metadata) is type(new._metadata)
             assert old._metadata is not new._metadata
             assert old._metadata.flags is not new._metadata.flags

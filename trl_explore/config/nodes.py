@@ -13,7 +13,7 @@ from functools import cache, lru_cache
 from typing import Any, cast
 
 import yaml
-from omegaconf import DictConfig, OmegaConf, base
+from omegaconf import AnyNode, DictConfig, OmegaConf, base
 from omegaconf._utils import get_omega_conf_dumper
 from omegaconf.base import ContainerMetadata, Metadata
 
@@ -33,6 +33,8 @@ def save_work() -> None:
     base.parse = lru_cache(PARSED)(base.parse)  # pyright: ignore[reportPrivateImportUsage]
     for kind in (Metadata, ContainerMetadata):
         kind.__deepcopy__ = _copied  # pyright: ignore[reportAttributeAccessIssue]
+    DictConfig.__deepcopy__ = _copied_mapping
+    AnyNode.__deepcopy__ = _copied_value
 
 
 def _copied(notes: Metadata, memo: dict[int, Any]) -> Metadata:
@@ -42,6 +44,26 @@ def _copied(notes: Metadata, memo: dict[int, Any]) -> Metadata:
     copy.flags = None if notes.flags is None else dict(notes.flags)
     kept = notes.resolver_cache
     copy.resolver_cache = deepcopy(kept, memo) if kept else defaultdict(dict)
+    return copy
+
+
+def _copied_mapping(self: DictConfig, memo: dict[int, Any]) -> DictConfig:
+    """A deep copy of a mapping; as in OmegaConf, it keeps the parent and does not copy it."""
+    copy, old = object.__new__(type(self)), vars(self)
+    content = old["_content"]
+    if isinstance(content, dict):
+        content = {key: deepcopy(child, memo) for key, child in content.items()}
+        for child in content.values():
+            vars(child)["_parent"] = copy
+    notes = deepcopy(old["_metadata"], memo)
+    vars(copy).update(old, _metadata=notes, _content=content, _flags_cache=None)
+    return copy
+
+
+def _copied_value(self: AnyNode, memo: dict[int, Any]) -> AnyNode:
+    """A copy of a leaf, with the same value."""
+    copy, old = object.__new__(type(self)), vars(self)
+    vars(copy).update(old, _metadata=deepcopy(old["_metadata"], memo), _flags_cache=None)
     return copy
 
 
