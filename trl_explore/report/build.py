@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.report.evidence import gather
 from trl_explore.report.figures import Picture, draw_all, draw_why
 from trl_explore.report.loading import Gap, Say, load, silent

@@ -14,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 
 from trl_explore import jobs as results
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.jobs.sweeps import LOOKS, VERDICTS
 from trl_explore.names import strategy_label, symbol
 from trl_explore.report.factors import value_words
