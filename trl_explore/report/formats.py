@@ -51,8 +51,7 @@ def to_png(figure: Figure) -> bytes:
             canvas.draw()
     finally:
         figure.set_dpi(old)
-    # The paper is opaque. Level 3 is faster than the usual 6, and the file is as small without
-    # the fourth channel.
+    # The paper is opaque: without a fourth channel, the fast level 3 gives as small a file.
     pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
     pixels.save(buffer, "png", dpi=(PNG_DPI, PNG_DPI), compress_level=3)
     return buffer.getvalue()
@@ -70,15 +69,13 @@ def to_pdf(figure: Figure) -> bytes:
 
 def drawn_files(figure: Figure) -> dict[str, Any]:
     """The figure in every format: ``svg``, ``png`` and ``pdf``."""
-    enabled = gc.isenabled()
     gc.disable()  # what a drawing leaves is free after the figure, and looking costs a fifth
     try:
         svg = to_svg(figure)
         figure.set_layout_engine("none")  # the layout is the same in every format
         return {"svg": svg, "png": to_png(figure), "pdf": to_pdf(figure)}
     finally:
-        if enabled:
-            gc.enable()
+        gc.enable()
 
 
 def inline_svg(svg: str, name: str, alt: str) -> str:
@@ -125,7 +122,6 @@ def _small_fonts() -> Iterator[None]:
     def load_small(*args: Any, **options: Any) -> Any:
         font = load(*args, **options)
         if "glyf" in font:
-            # Reading the names of all glyphs is slow, and nothing needs them.
             font.setGlyphOrder([f"glyph{k:05}" for k in range(font["maxp"].numGlyphs)])
             for table in set(font.keys()) - FONT_TABLES - {"GlyphOrder"}:
                 del font[table]

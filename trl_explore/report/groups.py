@@ -14,13 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trl_explore.names import (
-    EXPERIMENTS,
-    experiment,
-    experiment_rank,
-    strategy_label,
-    symbol,
-)
+from trl_explore.names import EXPERIMENTS, experiment, experiment_rank, strategy_label, symbol
 from trl_explore.report.factors import (
     Factor,
     arguments,

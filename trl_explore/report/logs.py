@@ -276,10 +276,7 @@ def summary_table(task: Task, id: str) -> Table:
         iqm = interquartile_mean(final.values) if len(final) else Estimate(nan, nan, nan)
         record |= {"final": sample_mean(final), "iqm": iqm, "area": sample_mean(c.sample(c.area))}
         records.append(flat(record))
-    columns = [
-        *plain_columns("configuration"),
-        Column("n", "runs", lambda r: str(r["n"]), True),
-    ]
+    columns = [*plain_columns("configuration"), Column("n", "runs", lambda r: str(r["n"]), True)]
     if task.threshold is not None:
         columns += [
             Column("pass_rate", f"exceeded {task.threshold:g}", rate_cell(), True),

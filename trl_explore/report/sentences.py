@@ -88,9 +88,7 @@ def question_sentence(
 
 
 def _block(
-    comparisons: Sequence[Comparison],
-    configurations: Sequence[Outcomes],
-    words: Mapping[str, str],
+    comparisons: Sequence[Comparison], configurations: Sequence[Outcomes], words: Mapping[str, str]
 ) -> str:
     if not any(c.converged.any() for c in configurations):
         names = some([words[c.name] for c in configurations])

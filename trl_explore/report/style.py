@@ -171,8 +171,6 @@ _SETTINGS: Mapping[str, Any] = {
     "legend.frameon": False,
     "lines.linewidth": 1.7,
     "lines.markersize": 4.5,
-    "svg.fonttype": "path",
-    "svg.hashsalt": "trl_explore",
     "text.parse_math": False,
     "figure.dpi": 100,
 }

@@ -152,10 +152,7 @@ def _tried_table(tuned: Sequence[Tuned], measure: Measure) -> Table:
         for t in tuned
         for settings, outcomes in t.tried
     ]
-    columns = [
-        *plain_columns("strategy", "setting"),
-        *estimates({"mean": f"mean {measure.name}"}),
-    ]
+    columns = [*plain_columns("strategy", "setting"), *estimates({"mean": f"mean {measure.name}"})]
     return Table("tried", "All settings, on the tuning seed", columns, records)
 
 

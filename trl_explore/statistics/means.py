@@ -177,10 +177,7 @@ def _ends(kind: Kind, seen: Moments, n: int, m: float, alpha: float) -> tuple[fl
     f, half = (kind.most, 0.0) if known else (seen.mean, seen.half(alpha))
     f_down, f_up = min(half, max(f - kind.least, 0.0)), min(half, max(kind.most - f, 0.0))
     fewer, more = (q - q_low) * (f - m), (q_high - q) * (f - m)
-    return (
-        hypot(max(fewer, -more), q_high * f_down),
-        hypot(max(more, -fewer), q_high * f_up),
-    )
+    return (hypot(max(fewer, -more), q_high * f_down), hypot(max(more, -fewer), q_high * f_up))
 
 
 def mean_difference(a: Sample, b: Sample, *, level: float = LEVEL) -> MeanDifference:

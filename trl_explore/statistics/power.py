@@ -2,8 +2,8 @@
 
 All functions use the normal approximation. ``sd`` ≥ 0 is the standard deviation of a paired
 difference (``Comparison.sd``), or √(s_a² + s_b²) for unpaired trials, with n trials in each
-configuration. ``power`` is the probability of detecting the difference; ``level`` is 1 - α of the
-two-sided test. Both lie in (0, 1), otherwise ValueError.
+configuration. ``POWER`` is the probability of detecting the difference; ``level``, in (0, 1), is
+1 - α of the two-sided test.
 """
 
 from __future__ import annotations
@@ -17,12 +17,9 @@ from scipy import special
 from trl_explore.statistics.estimates import LEVEL, Estimate, check_level
 
 POWER = 0.80
-"""The probability of detecting the difference."""
 Z_POWER = float(special.ndtri(POWER))
-# The largest number of trials whose relabellings are counted.
-COUNTED = 1000
-MOST_TRIALS = 100_000
-"""More trials of each configuration than that are "more than can be run", ``inf``."""
+COUNTED = 1000  # the most trials whose relabellings are counted
+MOST_TRIALS = 100_000  # of each configuration; more are "more than can be run", ``inf``
 
 
 def detectable_difference(sd: float, n: ArrayLike, *, level: float = LEVEL) -> NDArray[np.float64]:
@@ -109,9 +106,6 @@ def least_p(n_a: int, n_b: int, *, paired: bool) -> float:
 
 def fewest_pairs(level: float = LEVEL) -> int:
     """Fewest pairs for a significant difference: 2 / 2^n ≤ α, n = ⌈1 + log₂ 1/α⌉.
-
-    2 / 2^n is the smallest p of a two-sided test of n pairs that assumes nothing of their
-    distribution, if all differences have the same sign.
 
     >>> fewest_pairs(0.95), fewest_pairs(1 - 0.05 / 10)
     (6, 9)

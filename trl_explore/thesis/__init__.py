@@ -22,15 +22,7 @@ from trl_explore.thesis.claims import (
     check_claims,
     reexamine,
 )
-from trl_explore.thesis.rules import (
-    FAILS,
-    HOLDS,
-    NOT_MEASURED,
-    OPEN,
-    VERDICTS,
-    Finding,
-    Verdict,
-)
+from trl_explore.thesis.rules import FAILS, HOLDS, NOT_MEASURED, OPEN, VERDICTS, Finding, Verdict
 from trl_explore.thesis.study import NotMeasuredError, Study
 
 __all__ = [

@@ -203,16 +203,10 @@ def _ratio(
 
 
 def _mean(
-    study: Study,
-    find: Find,
-    of: Any,
-    low: float,
-    high: float,
-    measure: str = "iterations",
+    study: Study, find: Find, of: Any, low: float, high: float, measure: str = "iterations"
 ) -> list[Rule]:
-    word = measure
-    if measure == "score":
-        word = "learned score" if study.measure == "learned" else "final score"
+    kind = "learned" if study.measure == "learned" else "final"
+    word = f"{kind} score" if measure == "score" else measure
     return [
         rules.mean_within(s, low, high, f"mean {word} of {s.label}")
         for s in _samples(study, find(of), measure)
@@ -220,12 +214,7 @@ def _mean(
 
 
 def _quantiles(
-    study: Study,
-    find: Find,
-    of: Any,
-    weights: Mapping[float, float],
-    what: str,
-    measure: Any,
+    study: Study, find: Find, of: Any, weights: Mapping[float, float], what: str, measure: Any
 ) -> list[Rule]:
     return [
         rules.quantiles_above_zero(s, tuple(weights.items()), f"{s.label}: {what}")

@@ -124,9 +124,7 @@ def _panels(e: GroupEvidence, curves: Mapping[str, Curve], title: str = "") -> l
 
 
 @axes.kind(
-    "learning-panels",
-    "Learning curves",
-    lambda e: axes.crossed(e) and len(e.traces.learning) > 0,
+    "learning-panels", "Learning curves", lambda e: axes.crossed(e) and len(e.traces.learning) > 0
 )
 def panels(e: GroupEvidence) -> axes.Shown:
     """One panel per row of a crossed group."""

@@ -143,11 +143,7 @@ def frame(ax: Axes, title: str, line: float | None) -> None:
 
 
 def limits_of(
-    curves: Sequence[Curve],
-    *,
-    line: float | None = None,
-    log: bool = False,
-    from_zero: bool = True,
+    curves: Sequence[Curve], *, line: float | None = None, log: bool = False, from_zero: bool = True
 ) -> tuple[float, float]:
     """Limits of an axis that shows the curves, their bands and the line.
 
