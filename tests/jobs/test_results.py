@@ -304,6 +304,17 @@ def test_a_broken_record(job, text):
         assert "run.json" in one_line(error)
 
 
+@pytest.mark.parametrize(("key", "value"), [("seed", 6), ("trials", 4)])
+def test_a_record_of_other_trials(job, key, value):
+    run = json.loads((job / "run.json").read_text())
+    (job / "run.json").write_text(json.dumps({**run, key: value}))
+    with pytest.raises(
+        ResultsError, match=r"trials\.csv.*(another seed than 6|expected 4)"
+    ) as error:
+        results.read_job(job)
+    one_line(error)
+
+
 @pytest.mark.parametrize("name", ["trials.csv", "run.json"])
 def test_a_missing_file(job, name):
     (job / name).unlink()
