@@ -167,8 +167,11 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
 
 def _policy(config: DictConfig) -> Callable[..., Any]:
     """The constructor of the policy; its learning rate is for the optimiser."""
-    plain = {key: value for key, value in config.policy.items() if key != "lr"}
-    return constructor_of(OmegaConf.create({"policy": plain}), "policy")
+    plain = cast(
+        dict[str, Any], OmegaConf.to_container(config.policy, resolve=True, throw_on_missing=True)
+    )
+    plain.pop("lr", None)
+    return constructor_of({"policy": plain}, "policy")
 
 
 def _environment(config: DictConfig) -> Callable[..., Any]:
@@ -182,7 +185,7 @@ def _environment(config: DictConfig) -> Callable[..., Any]:
     for wrapper in plain.get("wrappers") or []:
         wrapper["_partial_"] = True
     plain = {key: value for key, value in plain.items() if key not in without}
-    return constructor_of(OmegaConf.create({"env": plain}), "env")
+    return constructor_of({"env": plain}, "env")
 
 
 def _check_transforms(config: DictConfig, make: Callable[..., Any]) -> None:
