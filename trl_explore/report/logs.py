@@ -25,10 +25,10 @@ from trl_explore.report.tables import (
     estimates,
     interval,
     negated,
-    number_text,
     p_value,
     plain_columns,
     rate_cell,
+    rounded,
 )
 from trl_explore.statistics.comparisons import Comparison, Measure, compare_all, too_few
 from trl_explore.statistics.estimates import LEVEL, Estimate, flat, pass_rate
@@ -204,8 +204,8 @@ def pair_sentence(c: Comparison, measure: Measure, labels: Mapping[str, str] | N
     difference = c.difference if best == c.a else negated(c.difference)
     better = "takes fewer" if measure.less_is_better else "has a higher"
     return (
-        f"{name[best]} {better} {measure.name} than {name[rest]}: {number_text(high)} against"
-        f" {number_text(low)} on average, a difference of {interval(difference)}"
+        f"{name[best]} {better} {measure.name} than {name[rest]}: {rounded(high)} against"
+        f" {rounded(low)} on average, a difference of {interval(difference)}"
         f" (p {p_value(c.p_holm)}, {design})."
     )
 

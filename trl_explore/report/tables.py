@@ -187,10 +187,10 @@ def uncapital(sentence: str) -> str:
     return sentence if sentence[1:2] == " " else sentence[:1].lower() + sentence[1:]
 
 
-def number_text(x: float) -> str:
+def rounded(x: float) -> str:
     """A number with at least three significant digits.
 
-    >>> number_text(1234.5), number_text(44.68), number_text(-0.01234), number_text(math.inf)
+    >>> rounded(1234.5), rounded(44.68), rounded(-0.01234), rounded(math.inf)
     ('1,234', '44.7', '−0.0123', '∞')
     """
     if not math.isfinite(x):
@@ -208,8 +208,8 @@ def interval(e: Estimate) -> str:
     ('27.3 [24.1, 30.6]', '1.00')
     """
     if math.isnan(e.low) or (e.low, e.high) == (-math.inf, math.inf):
-        return number_text(e.value)
-    return f"{number_text(e.value)} [{number_text(e.low)}, {number_text(e.high)}]"
+        return rounded(e.value)
+    return f"{rounded(e.value)} [{rounded(e.low)}, {rounded(e.high)}]"
 
 
 def negated(e: Estimate) -> Estimate:
@@ -250,7 +250,7 @@ def p_cell(key: str) -> Callable[[Record], str]:
 
 
 def estimate_cell(
-    key: str, text: Callable[[float], str] = number_text, infinite: str = "∞"
+    key: str, text: Callable[[float], str] = rounded, infinite: str = "∞"
 ) -> Callable[[Record], str]:
     """The text of an estimate in a column, with its interval in a second line."""
 

@@ -13,10 +13,10 @@ from trl_explore.report.tables import (
     Record,
     Table,
     interval,
-    number_text,
     p_value,
     percent,
     plain_columns,
+    rounded,
     some,
 )
 from trl_explore.statistics.estimates import Estimate, flat
@@ -61,10 +61,10 @@ def _acting_said(found: Sequence[Decomposition]) -> str:
     known = known[:MOST] + known[-1:] if len(known) > MOST + 1 else known
     first, *others = known
     said = [
-        f"{first[0]} scores {number_text(first[1].behaved.value)} with its exploration and"
-        f" {number_text(first[1].learned.value)} without it",
+        f"{first[0]} scores {rounded(first[1].behaved.value)} with its exploration and"
+        f" {rounded(first[1].learned.value)} without it",
         *(
-            f"{name} {number_text(a.behaved.value)} and {number_text(a.learned.value)}"
+            f"{name} {rounded(a.behaved.value)} and {rounded(a.learned.value)}"
             for name, a in others
         ),
     ]
@@ -100,8 +100,8 @@ def _share_said(strategy: str, p: Parts, words: Words) -> str:
     """The share of the bias in the difference, by each way in which it was measured."""
     more = "more" if p.gap.value > 0 else words.fewer
     whole = (
-        f"the {number_text(abs(p.gap.value))} {words.unit} that {strategy} {words.verb} {more} than"
-        f" softmax ({number_text(p.plain)} against {number_text(p.reference)})"
+        f"the {rounded(abs(p.gap.value))} {words.unit} that {strategy} {words.verb} {more} than"
+        f" softmax ({rounded(p.plain)} against {rounded(p.reference)})"
     )
     known = [
         (share, how, name, change, sign)
@@ -122,7 +122,7 @@ def _share_said(strategy: str, p: Parts, words: Words) -> str:
     for share, _, name, how, sign in known:
         change = sign * share.value * p.gap.value
         more = "more" if change > 0 else words.fewer
-        changes.append(f"{how}, {name} {words.verb} {number_text(abs(change))} {words.unit} {more}")
+        changes.append(f"{how}, {name} {words.verb} {rounded(abs(change))} {words.unit} {more}")
     return f"no share of {whole}: {' and, '.join(changes)}"
 
 
@@ -233,19 +233,13 @@ def _acting(d: Decomposition) -> str:
     a = d.acting.get("plain")
     if a is None:
         return "–"
-    lines = (
-        f"{number_text(a.behaved.value)} and {number_text(a.learned.value)}\n{interval(a.handicap)}"
-    )
+    lines = f"{rounded(a.behaved.value)} and {rounded(a.learned.value)}\n{interval(a.handicap)}"
     known = d.acting_share is not None and not np.isnan(d.acting_share.value)
     return f"{lines}\nshare {percent(d.acting_share)}" if known else lines
 
 
 def _gap(p: Parts | None) -> str:
-    return (
-        "–"
-        if p is None
-        else f"{interval(p.gap)}\n{number_text(p.plain)} − {number_text(p.reference)}"
-    )
+    return "–" if p is None else f"{interval(p.gap)}\n{rounded(p.plain)} − {rounded(p.reference)}"
 
 
 def _bias(p: Parts | None) -> str:
@@ -287,8 +281,8 @@ def _quantities(found: Sequence[Decomposition]) -> Table:
     columns = [
         *plain_columns("environment", "strategy"),
         Column("quantity", "quantity", lambda r: QUANTITIES[r["quantity"]]),
-        of("plain", "uncorrected", number_text),
-        of("reference", "softmax", number_text),
+        of("plain", "uncorrected", rounded),
+        of("reference", "softmax", rounded),
         of("gap", "difference", interval),
         of("assumed", "bias, added", percent),
         of("corrected", "bias, removed", percent),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations, count
 from math import inf
 from typing import Any
@@ -14,7 +15,7 @@ from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import LEVEL, Estimate, flat
 from trl_explore.statistics.means import MeanDifference, mean_difference
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.statistics.pairing import check_comparable, refuse_shared
+from trl_explore.statistics.pairing import check_comparable, configuration_key, refuse_shared
 from trl_explore.statistics.power import least_p
 from trl_explore.statistics.samples import Sample, common_trials
 from trl_explore.statistics.survival import logrank_test, probability_faster
@@ -155,7 +156,9 @@ def compare_pairs(
     Raises:
         ValueError: as :func:`compare`.
     """
-    table = [_compared(a, b, measure, level) for a, b in pairs]
+    # A configuration is in many pairs.
+    measure, key = replace(measure, of=cache(measure.of)), cache(configuration_key)
+    table = [_compared(a, b, measure, level, key) for a, b in pairs]
     p = [comparison.p_value for comparison, _ in table]
     return [
         replace(comparison, p_holm=corrected, difference=result.at(step))
@@ -166,13 +169,17 @@ def compare_pairs(
 
 
 def _compared(
-    a: Outcomes, b: Outcomes, measure: Measure, level: float
+    a: Outcomes,
+    b: Outcomes,
+    measure: Measure,
+    level: float,
+    key: Callable[[Outcomes], str] = configuration_key,
 ) -> tuple[Comparison, MeanDifference]:
     if measure.less_is_better:
         check_comparable(a, b)
-    refuse_shared([a, b])
-    first, second = measure.of(a), measure.of(b)
-    x, y, paired = common_trials(first, second)
+    if key(a) == key(b):
+        refuse_shared([a, b])
+    x, y, paired = common_trials(measure.of(a), measure.of(b))
     if not len(x) or not len(y):
         raise ValueError(f"{a.name} and {b.name}: no {measure.name} to compare")
     result = mean_difference(x, y, level=level)

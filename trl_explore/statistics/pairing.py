@@ -92,8 +92,9 @@ def shared_trials(jobs: Sequence[Outcomes]) -> list[SharedTrials]:
     not independent: never pool, compare or count them as if they were.
     """
     found = []
-    for a, b in combinations(jobs, 2):
-        count = len(pair_indices(a, b)[0]) if configuration_key(a) == configuration_key(b) else 0
+    keys = [configuration_key(job) for job in jobs]
+    for (a, key), (b, other) in combinations(zip(jobs, keys, strict=True), 2):
+        count = len(pair_indices(a, b)[0]) if key == other else 0
         if count:
             found.append(SharedTrials((a.experiment, a.name), (b.experiment, b.name), count))
     return found

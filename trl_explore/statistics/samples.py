@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import inf
 from typing import Any
 
@@ -84,7 +85,7 @@ class Sample:
         kinds = () if failed is None else (Kind(bad, least, most),)
         return cls(label, unit, x, ~bad, tuple((0, i) for i in range(len(x))), kinds)
 
-    @property
+    @cached_property
     def ordinary(self) -> NDArray[np.bool_]:
         """Whether each trial is of no rare kind, [n]."""
         rare = np.zeros(len(self), dtype=bool)
@@ -92,7 +93,7 @@ class Sample:
             rare |= kind.members
         return ~rare
 
-    @property
+    @cached_property
     def cap(self) -> float | None:
         """The value of every failed trial, if it is known and there are no other rare kinds."""
         known = len(self.kinds) == 1 and self.kinds[0].least == self.kinds[0].most
@@ -211,6 +212,8 @@ SCORES: Mapping[str, Callable[[float], tuple[float, float]]] = {
 
 def common_trials(a: Sample, b: Sample) -> tuple[Sample, Sample, bool]:
     """The common trials of two samples, as pairs; both samples, unpaired, if there are none."""
+    if a.keys == b.keys:
+        return a, b, len(a) > 0
     i, j = common(a.keys, b.keys)
     return (a.at(i), b.at(j), True) if len(i) else (a, b, False)
 

@@ -18,11 +18,12 @@ from trl_explore.report.figures.panels import (
     PANELS_PER_ROW,
     draw_panels,
     fill_panels,
+    frame,
     limits_of,
     panels_of,
     plot_curves,
 )
-from trl_explore.report.style import INK, MUTED, LineStyle, Style
+from trl_explore.report.style import MUTED, LineStyle, Style
 from trl_explore.training.quantities import DIAGNOSTICS, Diagnostic
 
 GREEDY: LineStyle = (0, (5.0, 2.0))
@@ -36,9 +37,9 @@ def plot_learning(
     curve: Curve,
     style: Style,
     *,
-    title: str = "",
-    others: Sequence[tuple[Curve, Style]] = (),
-    threshold: float | None = None,
+    title: str,
+    others: Sequence[tuple[Curve, Style]],
+    threshold: float,
 ) -> None:
     """Draw one learning curve with its band, and the other means as thin lines."""
     for other, look in others:
@@ -50,14 +51,9 @@ def plot_learning(
         curve.iterations, curve.mean, color=style.color, ls=style.line, marker=style.marker,
         markevery=(every // 2, every), zorder=3,
     )  # fmt: skip
-    if threshold is not None:
-        ax.axhline(threshold, color=INK, lw=1.0, ls=axes.DASHED, zorder=2)
-    ax.set_title(axes.wrapped(title, 28), loc="left", color=INK)
-    ax.grid()
+    frame(ax, title, threshold)
     curves = [curve, *(other for other, _ in others)]
     ax.set_ylim(bottom=min(0.0, *(float(np.nanmin(c.mean)) for c in curves)))
-    axes.plain_numbers(ax.xaxis)
-    axes.plain_numbers(ax.yaxis)
 
 
 def _quantity(e: GroupEvidence) -> str:

@@ -126,13 +126,18 @@ def plot_curves(
             x, curve.mean, color=style.color, ls=style.line, marker=style.marker, lw=1.4,
             ms=4, markevery=(min(first, len(x) - 1), every), zorder=3,
         )  # fmt: skip
+    ax.set_yscale("log" if log else "linear")
+    shown = [curve for curve, _ in curves]
+    ax.set_ylim(*(limits or limits_of(shown, line=line, log=log, from_zero=from_zero)))
+    frame(ax, title, line)
+
+
+def frame(ax: Axes, title: str, line: float | None) -> None:
+    """Draw what surrounds the curves of a panel: title, grid, plain numbers, a dashed line."""
     if line is not None:
         ax.axhline(line, color=INK, lw=1.0, ls=axes.DASHED, zorder=2)
     ax.set_title(axes.wrapped(title, 28), loc="left", color=INK)
-    ax.set_yscale("log" if log else "linear")
     ax.grid()
-    shown = [curve for curve, _ in curves]
-    ax.set_ylim(*(limits or limits_of(shown, line=line, log=log, from_zero=from_zero)))
     axes.plain_numbers(ax.xaxis)
     axes.plain_numbers(ax.yaxis)
 
