@@ -14,7 +14,7 @@ from tests.jobs.written import CONFIG, WEIGHTS, record, write
 from trl_explore import jobs as results
 from trl_explore.jobs import files, writing
 from trl_explore.jobs.columns import ResultsError
-from trl_explore.training.record import Trials
+from trl_explore.training.trials import Trials
 
 TRIALS_CSV = """\
 trial,seed,iterations,converged,score,frames,seconds,status,passed,iterations_to_pass,frames_to_pass

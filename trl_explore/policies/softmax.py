@@ -13,7 +13,7 @@ from trl_explore.checks import settle
 from trl_explore.policies.layers import (
     LaneLinear,
     LaneMLP,
-    Network,
+    NetworkOptions,
     initial_weights,
     is_one_hot,
     layer_sizes,
@@ -124,7 +124,7 @@ class MLPPolicy(TensorDictModule):
     actions = "discrete"
 
     def __init__(
-        self, env: EnvBase, *, hidden: Sequence[int] = (32, 32), **network: Unpack[Network]
+        self, env: EnvBase, *, hidden: Sequence[int] = (32, 32), **network: Unpack[NetworkOptions]
     ) -> None:
         (trials,) = env.batch_size
         module = LaneMLP(layer_sizes(env, hidden, n_actions(env)), trials, **network)

@@ -15,7 +15,7 @@ from torchrl.data import Composite, TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
 
 from trl_explore.checks import settle
-from trl_explore.strategies import workers
+from trl_explore.strategies import worker_seeds
 from trl_explore.strategies.parameters import Parametrised
 from trl_explore.strategies.schedules import Constant
 
@@ -89,7 +89,7 @@ class BaseStrategy(Parametrised):
         trial_key: NestedKey = "trial",
     ) -> None:
         super().__init__(trial_key)
-        workers.watch(self)
+        worker_seeds.watch(self)
         self.action_key, self.noise_key = action_key, noise_key
         name = action_key if isinstance(action_key, str) else action_key[-1]
         self.log_prob_key = log_prob_key or self._beside(f"{name}_log_prob")
@@ -100,11 +100,11 @@ class BaseStrategy(Parametrised):
         self._trained_here = False
 
     def __getstate__(self) -> dict[str, Any]:
-        return workers.pack(self.__dict__.copy())
+        return worker_seeds.pack(self.__dict__.copy())
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(workers.unpack(state))
-        workers.watch(self)
+        super().__setstate__(worker_seeds.unpack(state))
+        worker_seeds.watch(self)
 
     def _beside(self, name: str) -> NestedKey:
         """The entry with this name in the group of the action."""
