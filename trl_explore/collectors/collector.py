@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import OrderedDict
-from collections.abc import Iterator
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -19,23 +19,47 @@ from torchrl.envs.utils import ExplorationType
 from trl_explore.checks import check_integer
 from trl_explore.envs import LaneVectorEnv, lane_env
 from trl_explore.envs.checking import check_resumable
+from trl_explore.numerics.surrogate import FrameArrays
 from trl_explore.strategies import BaseStrategy
 
 
-class Rollout(NamedTuple):
-    """The episodes that one call of a collector returns.
+class Rollout:
+    """The episodes that one call of a collector returns: ``frames, score, length = rollout``.
 
-    Attributes:
-        frames: all frames, flat [frames]; see ``EpisodeCollector`` for the entries.
+    Args:
+        frames: all frames, flat [frames], or a function that builds them; see
+            ``EpisodeCollector`` for the entries.
         score: the undiscounted return of every episode [active], in ascending order of trials;
             [active, k] if every trial has k > 1 episodes. It is the sum of the environment's
             rewards in double precision.
         length: the number of frames of every episode, in the same shape.
+        arrays: the entries that REINFORCE reads, if the collector keeps them as arrays.
     """
 
-    frames: TensorDictBase
-    score: NDArray[np.float64]
-    length: NDArray[np.int64]
+    def __init__(
+        self,
+        frames: TensorDictBase | Callable[[], TensorDictBase],
+        score: NDArray[np.float64],
+        length: NDArray[np.int64],
+        arrays: FrameArrays | None = None,
+    ) -> None:
+        self._frames = frames
+        self.score, self.length, self.arrays = score, length, arrays
+
+    @property
+    def frames(self) -> TensorDictBase:
+        """All frames, flat [frames]."""
+        if not isinstance(self._frames, TensorDictBase):
+            self._frames = self._frames()
+        return self._frames
+
+    @property
+    def count(self) -> int:
+        """The number of frames."""
+        return int(self.length.sum()) if self.arrays is None else len(self.arrays.trial)
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter((self.frames, self.score, self.length))
 
 
 class EpisodeCollector(BaseCollector):
@@ -148,13 +172,15 @@ class EpisodeCollector(BaseCollector):
             raise ValueError(
                 f"active must be bool [{self.trials}] with at least one true entry, got {active!r}"
             )
-        frames, score, length = self._collect(active)
+        rollout = self._collect(active)
         self.episodes += active * self.episodes_per_update
-        self.frames += len(frames)
+        self.frames += rollout.count
         if self.episodes_per_update > 1:
             shape = (-1, self.episodes_per_update)
-            score, length = score.reshape(shape), length.reshape(shape)
-        return Rollout(frames, score, length)
+            rollout.score, rollout.length = (
+                rollout.score.reshape(shape), rollout.length.reshape(shape),
+            )  # fmt: skip
+        return rollout
 
     @abstractmethod
     def _collect(self, active: NDArray[np.bool_]) -> Rollout:

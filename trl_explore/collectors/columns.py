@@ -9,6 +9,8 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
+from trl_explore.numerics.surrogate import FrameArrays
+
 ROOT = ("trial", "observation", "action", "action_log_prob", "action_mask")
 NEXT = ("reward", "done", "terminated", "truncated", "step_count", "episode_reward")
 
@@ -45,6 +47,7 @@ class Columns:
         self, n_features: int, *, n_masks: int = 0, n_dims: int = 0, exact: bool = True
     ) -> None:
         self.capacity = 0
+        self._n_features, self._plain = n_features, not (n_masks or n_dims)
         self._flat = ["trial", "action_log_prob", *([] if n_dims else ["action"])]
         self._types = (
             ("trial", 1, np.int64),
@@ -86,3 +89,14 @@ class Columns:
         after = {name: c[:count] for name, c in self._next.items()}
         source["next"] = TensorDict._new_unsafe(after, batch)
         return TensorDict._new_unsafe(source, batch)
+
+    def frame_arrays(self, count: int) -> FrameArrays | None:
+        """What REINFORCE reads from the first ``count`` frames; None with masks or vectors."""
+        if not self._plain:
+            return None
+        trial, observation, action, _, reward, done, *_ = self.arrays
+        d = self._n_features
+        return FrameArrays(
+            observation[: count * d].reshape(count, d), action[:count], reward[:count],
+            done[:count], trial[:count],
+        )  # fmt: skip

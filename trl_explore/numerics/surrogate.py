@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -15,6 +15,24 @@ from trl_explore.numerics.dispatch import check_frames, compiled, supports
 from trl_explore.numerics.layers import lane_linear, lane_sum
 
 NOTHING = np.zeros(0, dtype=np.bool_)
+
+
+class FrameArrays(NamedTuple):
+    """What REINFORCE reads from flat frames, as arrays.
+
+    Attributes:
+        observation: s [frames, n_features].
+        action: a [frames] int64.
+        reward: r [frames].
+        done: whether the frame is the last one of its episode [frames].
+        trial: [frames] int64.
+    """
+
+    observation: NDArray[Any]
+    action: NDArray[np.int64]
+    reward: NDArray[Any]
+    done: NDArray[np.bool_]
+    trial: NDArray[np.int64]
 
 
 def linear_softmax_surrogate(
@@ -166,18 +184,31 @@ def linear_softmax_reinforce(
     discount γ and baseline b in place of A.
 
     Returns:
-        S and its gradient; None if the trials are not in ascending order, an index is out of
-        range, or there are not exactly two actions.
+        S and its gradient; None if the trials are not in ascending order or an index is out of
+        range.
 
     Raises:
         ValueError: if the shapes do not match.
     """
-    if weight.shape[1] != 2:
-        return None
     check_frames(reward.shape, done=done)
     _check(observation, weight, action, reward, trial)
-    columns = [x.contiguous().numpy() for x in (observation, action, reward[:0], reward, done)]
-    return _sums(columns, trial.contiguous().numpy(), weight, scale, baseline, gamma)
+    columns = (observation, action, reward, done, trial)
+    frames = FrameArrays(*(x.contiguous().numpy() for x in columns))
+    return reinforce_of_arrays(frames, weight, gamma, baseline, scale)
+
+
+def reinforce_of_arrays(
+    frames: FrameArrays, weight: Tensor, gamma: float, baseline: float, scale: float
+) -> tuple[Tensor, Tensor] | None:
+    """``linear_softmax_reinforce`` of arrays whose shapes are known to match."""
+    observation, action, reward, done, trial = frames
+    if weight.shape[1] == 2:
+        columns = [observation, action, reward[:0], reward, done]
+        return _sums(columns, trial, weight, scale, baseline, gamma)
+    advantage = np.empty_like(reward)
+    compiled("returns").returns(reward, done, advantage, trial, gamma)
+    advantage -= reward.dtype.type(baseline)
+    return _sums([observation, action, advantage], trial, weight, scale)
 
 
 def _check(

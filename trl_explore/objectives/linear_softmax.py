@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast
 
+import torch
 from tensordict import TensorDictParams
 from tensordict.nn import ProbabilisticTensorDictSequential
 from torch import Tensor
 
+from trl_explore.numerics.dispatch import transformed
 from trl_explore.numerics.surrogate import (
+    FrameArrays,
     formula_applies,
     linear_softmax_gradient,
     linear_softmax_reinforce,
+    reinforce_of_arrays,
 )
 from trl_explore.objectives.episodes import Episodes
 from trl_explore.policies import LinearPolicy
@@ -41,8 +45,28 @@ def linear_weight(
     masked = cast(SoftmaxActor, actor).action_mask_key in episodes.tensordict
     if masked or episodes.layout.agents > 1:
         return None
-    weight = cast(LinearPolicy, actor[0]).weight if parameters is None else parameters.get(key)
+    weight = weight_of(actor, parameters, key)
     return weight if len(weight) == episodes.trials else None
+
+
+def weight_of(
+    actor: ProbabilisticTensorDictSequential,
+    parameters: TensorDictParams | None,
+    key: tuple[str, ...],
+) -> Tensor:
+    """W of a linear softmax [trials, n_actions, n_features]; arguments as in ``linear_weight``."""
+    return cast(LinearPolicy, actor[0]).weight if parameters is None else parameters.get(key)
+
+
+def closed_form_of_arrays(
+    weight: Tensor, frames: FrameArrays, gamma: float, baseline: float, scale: float
+) -> Tensor | None:
+    """``closed_form`` with A_t = G_t − b of valid frames; None if autograd is needed."""
+    fits = weight.is_cpu and weight.dtype is torch.float32 and not transformed(weight)
+    if not (fits and _takes_gradient(weight)):
+        return None
+    found = reinforce_of_arrays(frames, weight, gamma, baseline, scale)
+    return None if found is None else _accumulated(weight, *found)
 
 
 def closed_form(
@@ -76,7 +100,11 @@ def closed_form(
         if not formula_applies(observation, weight, advantage):
             return None
         found = linear_softmax_gradient(observation, weight, action, advantage, trial, scale)
-    surrogate, gradient = found
+    return _accumulated(weight, *found)
+
+
+def _accumulated(weight: Tensor, surrogate: Tensor, gradient: Tensor) -> Tensor:
+    """S, after its gradient is added to that of W."""
     weight.grad = gradient if weight.grad is None else weight.grad.add_(gradient)
     return surrogate
 

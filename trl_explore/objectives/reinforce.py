@@ -14,11 +14,17 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives.common import LossModule
 
 from trl_explore.checks import check_flag, check_integer, check_number, settle
-from trl_explore.numerics.surrogate import linear_softmax_surrogate
+from trl_explore.numerics.surrogate import FrameArrays, linear_softmax_surrogate
 from trl_explore.objectives.baselines import Baseline, Constant
 from trl_explore.objectives.corrections import Correction, as_correction, log_ratio_of
 from trl_explore.objectives.episodes import Episodes
-from trl_explore.objectives.linear_softmax import closed_form, linear_weight, linear_weight_key
+from trl_explore.objectives.linear_softmax import (
+    closed_form,
+    closed_form_of_arrays,
+    linear_weight,
+    linear_weight_key,
+    weight_of,
+)
 from trl_explore.objectives.reading import Keys, read_episodes
 from trl_explore.policies.actor import (
     GaussianActor,
@@ -104,6 +110,9 @@ class ReinforceLoss(LossModule):
     closed_form: ClassVar[bool] = True
     """Whether ``backward`` may use a closed form instead of ``forward`` and autograd. False in a
     class that overrides ``forward``, unless the class declares it."""
+    whole: ClassVar[bool] = True
+    """Whether an iteration needs no other method than ``backward_arrays``. False in a class that
+    overrides ``backward`` or ``step``, unless the class declares it."""
 
     actor_network: ProbabilisticTensorDictSequential
     actor_network_params: TensorDictParams
@@ -112,6 +121,7 @@ class ReinforceLoss(LossModule):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         settle(cls, "closed_form", False, ["forward"])
+        settle(cls, "whole", False, ["forward", "backward", "step"])
 
     def __init__(
         self,
@@ -230,6 +240,28 @@ class ReinforceLoss(LossModule):
         parts = [losses.get(key).sum() for key in ("loss_actor", "loss_value") if key in losses]
         cast(Tensor, sum(parts)).backward()
         return losses.get("trial_loss")
+
+    @property
+    def reads_arrays(self) -> bool:
+        """Whether ``backward_arrays`` does all that ``backward`` and ``step`` do.
+
+        The policy is a linear softmax, A_t = G_t − b, and the entries have their usual names.
+        """
+        plain = self._has_closed_form and self._constant is not None and self.trials is not None
+        return self.whole and plain and self.tensor_keys == self.default_keys()
+
+    def backward_arrays(self, frames: FrameArrays) -> Tensor | None:
+        """``backward`` of one array per entry; call it only if ``reads_arrays``.
+
+        Returns:
+            "trial_loss"; None if these weights need ``backward``.
+        """
+        parameters = self.actor_network_params if self.functional else None
+        weight = weight_of(self.actor_network, parameters, cast(tuple, self._weight_key))
+        if len(weight) != self.trials:
+            return None
+        baseline = cast(float, self._constant)
+        return closed_form_of_arrays(weight, frames, self.gamma, baseline, -self.weight)
 
     def _closed_form(self, episodes: Episodes, weight: Tensor) -> Tensor | None:
         """``backward`` without a graph; None if the closed form does not apply to these data."""

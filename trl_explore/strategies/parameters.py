@@ -152,10 +152,12 @@ class Parametrised(TensorDictModuleBase):
         """Give every parameter the present value of its schedule."""
         for name, schedule in self.schedules.items():
             if type(schedule) is not Constant:
-                buffer = getattr(self, name)
-                value = torch.as_tensor(self._value(name), dtype=torch.float64)
-                if value.shape == buffer.shape:
-                    buffer.data.copy_(value)  # in place: shared memory and compiled code see it
+                buffer, value = getattr(self, name), self._value(name)
+                # In place, because shared memory and compiled code see the buffer.
+                if buffer.ndim == 0 and isinstance(value, float):
+                    buffer.data.fill_(value)
+                elif np.shape(value) == buffer.shape:
+                    buffer.data.copy_(torch.as_tensor(value, dtype=torch.float64))
                 else:
                     self._place(name)
 

@@ -40,7 +40,7 @@ class BaseStrategy(Parametrised):
 
     Random numbers come from torch's generator of the process, as in TorchRL's own modules, unless
     there is an entry ``noise_key``. Worker processes have different, reproducible numbers: see
-    ``strategies.workers``.
+    ``strategies.worker_seeds``.
 
     Attributes:
         actions: the kind of action, "discrete" or "continuous".

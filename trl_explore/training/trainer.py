@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 
-from trl_explore.collectors import EpisodeCollector
+from trl_explore.collectors import EpisodeCollector, Rollout
 from trl_explore.numerics.compiled.cache import clock
 from trl_explore.training.diagnostics import Diagnostics
 from trl_explore.training.evaluation import Evaluator
@@ -94,6 +94,9 @@ class Trainer:
         self.snapshots = snapshots
         self.on_iteration = on_iteration
         self._weights = Views(optimizer.parameters)
+        self._reads_arrays = intrinsic is None and getattr(loss, "reads_arrays", False)
+        strategy = collector.strategy
+        self._strategy_reads = strategy.learns_from_data or strategy.frames.ndim > 0
         self.seconds = 0.0
         """Wall time of training so far, without compilation and evaluations; includes the time
         before an interruption [s]."""
@@ -173,15 +176,15 @@ class Trainer:
     def _iterate(self, offset: float) -> None:
         active = self.trials.active
         self.optimizer.zero_grad()
-        frames, scores, lengths = self.collector.collect(active)
+        rollout = self.collector.collect(active)
+        scores, lengths = rollout.score, rollout.length
         if self.intrinsic is not None:
-            self.intrinsic(frames)
-        trial_loss = self.loss.backward(frames)
+            self.intrinsic(rollout.frames)
+        trial_loss = self._backward(rollout)
         if self.diagnostics is not None:
-            self.diagnostics.record(frames, active)
+            self.diagnostics.record(rollout.frames, active)
         self.optimizer.step(torch.from_numpy(active))
-        self.loss.step(frames)
-        self.collector.strategy.step(frames)
+        self._learn(rollout)
         diverged = self._diverged(trial_loss, active)
         seconds = offset + clock() - self.evaluating
         learned, iteration = None, self.trials.iteration + 1
@@ -194,6 +197,23 @@ class Trainer:
                 self._evaluate(iteration, sound, so_far)
         self.trials.record(scores, lengths, diverged, seconds, learned)
         self._keep(iteration)
+
+    def _backward(self, rollout: Rollout) -> torch.Tensor:
+        """Add the gradient of the episodes; returns each trial's loss."""
+        trial_loss = None
+        if self._reads_arrays and rollout.arrays is not None:
+            trial_loss = cast(Any, self.loss).backward_arrays(rollout.arrays)
+        return self.loss.backward(rollout.frames) if trial_loss is None else trial_loss
+
+    def _learn(self, rollout: Rollout) -> None:
+        """Let the loss and the strategy learn from the episodes, after the update."""
+        if not self._reads_arrays:
+            self.loss.step(rollout.frames)
+        if self._strategy_reads:
+            frames = rollout.frames
+        else:  # their number is enough
+            frames = TensorDict._new_unsafe({}, torch.Size([rollout.count]))
+        self.collector.strategy.step(frames)
 
     def _keep(self, iteration: int) -> None:
         if self.snapshots is not None:

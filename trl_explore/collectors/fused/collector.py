@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, cast
 
 import gymnasium as gym
@@ -96,7 +97,8 @@ class FusedCollector(EpisodeCollector):
                 score, length, done, place,
             )  # fmt: skip
             if done == len(trials):
-                return Rollout(columns.frames(place), score, length)
+                frames = partial(columns.frames, place)
+                return Rollout(frames, score, length, columns.frame_arrays(place))
             columns.reserve(2 * columns.capacity, keep=place)
 
     def _play(

@@ -86,7 +86,7 @@ class LaneAdam:
             if parameter.grad is None:
                 continue
             rows = np.ones(len(p), dtype=np.bool_) if which is None else which
-            gradient = parameter.grad.reshape(p.shape).contiguous().numpy()
+            gradient = np.ascontiguousarray(parameter.grad.numpy()).reshape(p.shape)
             _adam(
                 rows, p, m, v, gradient, self.beta1, self.beta2, self.eps,
                 lr / correction1, correction2**0.5,

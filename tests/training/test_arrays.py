@@ -1,0 +1,154 @@
+"""A loss that reads arrays trains with the same bits as one that reads the TensorDict."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from trl_explore.collectors import FusedCollector
+from trl_explore.config import CONF
+from trl_explore.config.checking import options
+from trl_explore.objectives import ReinforceLoss
+from trl_explore.objectives.baselines import EpisodeMean
+from trl_explore.objectives.corrections import PerStep
+from trl_explore.strategies import EpsilonGreedy, Softmax
+
+IDS = {"CartPole-v1": 500, "Acrobot-v1": 40, "FrozenLake-v1": 40}
+
+
+class Framewise(ReinforceLoss):
+    """The same loss, which reads every iteration's TensorDict."""
+
+    @property
+    def reads_arrays(self):
+        return False
+
+
+class Counting(ReinforceLoss):
+    """The same loss, which counts the iterations that it read as arrays."""
+
+    count = 0
+
+    def backward_arrays(self, frames):
+        type(self).count += 1
+        return super().backward_arrays(frames)
+
+
+def strategy(name):
+    return instantiate(OmegaConf.load(CONF / "strategy" / f"{name}.yaml"))
+
+
+COMPILABLE = [
+    name for name in options("strategy", "discrete") if getattr(strategy(name), "compilable", False)
+]
+
+
+def same(one, two):
+    for a, b in zip(one.optimizer.parameters, two.optimizer.parameters, strict=True):
+        assert torch.equal(a.detach(), b.detach())
+    first, second = one.trials.episodes(), two.trials.episodes()
+    assert all(np.array_equal(first[name], second[name]) for name in first)
+    for name, buffer in one.collector.strategy.named_buffers():
+        assert torch.equal(buffer, two.collector.strategy.get_buffer(name))
+
+
+@pytest.mark.parametrize("id", IDS)
+@pytest.mark.parametrize("name", COMPILABLE)
+def test_arrays_and_frames_give_the_same_bits(name, id, train):
+    run = partial(
+        train, trials=5, id=id, max_steps=IDS[id], max_iterations=12, score_threshold=40.0,
+        collector=FusedCollector,
+    )  # fmt: skip
+    Counting.count = 0
+    with_arrays = run(strategy(name), loss=partial(Counting, baseline=3.0))
+    assert Counting.count == with_arrays.trials.iteration > 3
+    same(with_arrays, run(strategy(name), loss=partial(Framewise, baseline=3.0)))
+
+
+@pytest.mark.parametrize("episodes", [2, 7])
+@pytest.mark.parametrize("reduction", ["sum", "none"])
+def test_several_episodes_and_every_reduction(episodes, reduction, train):
+    run = partial(
+        train, trials=3, collector=partial(FusedCollector, episodes_per_update=episodes)
+    )  # fmt: skip
+    Counting.count = 0
+    options = {"reduction": reduction}
+    same(
+        run(EpsilonGreedy(), loss=partial(Counting, **options)),
+        run(EpsilonGreedy(), loss=partial(Framewise, **options)),
+    )
+    assert Counting.count == 10
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"correction": PerStep()},
+        {"baseline": EpisodeMean()},
+        {"discount_steps": True},
+        {"normalize_advantage": True},
+        {"entropy_coeff": 0.1},
+    ],
+    ids=lambda options: next(iter(options)),
+)
+def test_other_losses_read_the_frames(options, build):
+    Counting.count = 0
+    trainer = build(
+        Softmax(), collector=FusedCollector, loss=partial(Counting, **options), max_iterations=3
+    )
+    assert not trainer.loss.reads_arrays
+    trainer.run()
+    assert Counting.count == 0
+
+
+@pytest.mark.parametrize("method", ["forward", "backward", "step"])
+def test_a_changed_loss_is_not_passed_over(method, train):
+    calls = []
+
+    def changed(self, tensordict):
+        calls.append(len(tensordict))
+        return getattr(ReinforceLoss, method)(self, tensordict)
+
+    trainer = train(
+        Softmax(),
+        collector=FusedCollector,
+        loss=type("Changed", (ReinforceLoss,), {method: changed}),
+    )
+    assert len(calls) == trainer.trials.iteration
+    assert sum(calls) == trainer.trials.frames.sum()
+
+
+def test_renamed_entries_are_read_from_the_frames(build):
+    trainer = build(Softmax(), collector=FusedCollector)
+    assert trainer.loss.reads_arrays
+    trainer.loss.set_keys(action="other")
+    assert not trainer.loss.reads_arrays
+
+
+def test_hooks_of_the_weights_are_called(build):
+    trainer = build(Softmax(), collector=FusedCollector, max_iterations=3)
+    (weight,) = trainer.optimizer.parameters
+    seen = []
+    weight.register_hook(seen.append)
+    trainer.run()
+    assert len(seen) == 3
+
+
+def test_a_strategy_that_declares_to_need_no_data_gets_their_number(train):
+    class Curious(EpsilonGreedy):
+        learns_from_data = False
+        sizes: list[int] = []  # noqa: RUF012
+
+        def step(self, frames=None):
+            self.sizes.append(len(frames))
+            super().step(frames)
+
+    trainer = train(Curious(), collector=FusedCollector)
+    assert (
+        sum(Curious.sizes) == trainer.trials.frames.sum() == int(trainer.collector.strategy.frames)
+    )
