@@ -288,10 +288,7 @@ class Copies:
 
 
 def _without_wrappers(env: gym.Env) -> tuple[Callable[[Any], Any], int]:
-    """The step function inside gymnasium's time limit and order check, and the limit.
-
-    ``Copies`` does both, for a third of the time.
-    """
+    """The step function without time limit and order check, and the limit; ``step`` does both."""
     limit = np.iinfo(np.int64).max
     inner = env
     if type(inner) is TimeLimit:

@@ -14,7 +14,7 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from trl_explore.checks import settle
+from trl_explore.checks import withdraw
 from trl_explore.strategies import worker_seeds
 from trl_explore.strategies.parameters import Parametrised
 from trl_explore.strategies.schedules import Constant
@@ -76,8 +76,8 @@ class BaseStrategy(Parametrised):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        settle(cls, "learns_from_data", True, ["step"])
-        settle(cls, "per_episode", True, ["begin"])
+        withdraw(cls, "learns_from_data", True, ["step"])
+        withdraw(cls, "per_episode", True, ["begin"])
 
     def __init__(
         self,

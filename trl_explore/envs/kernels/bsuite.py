@@ -17,7 +17,7 @@ from trl_explore.numerics.compiled.cache import kernel_function
 from trl_explore.numerics.compiled.philox import random
 
 
-class Task(gym.Env[Any, Any]):
+class ExplorationTask(gym.Env[Any, Any]):
     """An environment with ``_begin``, which sets the first state, and ``_observation``."""
 
     _begin: Callable[[], None]
@@ -36,7 +36,7 @@ MOVE_COST = 0.01
 """The cost of going right in every row of an episode."""
 
 
-class DeepSea(Task):
+class DeepSea(ExplorationTask):
     """A diver sinks one row per step through a grid of N × N cells, from the top left corner.
 
     Each step goes right, at a cost of 0.01 / N, or left. Going right in the last column, which only
@@ -153,7 +153,7 @@ def deep_sea(env: DeepSea) -> Kernel:
     )
 
 
-class Catch(Task):
+class Catch(ExplorationTask):
     """A ball falls one row per step in a random column; a paddle moves left, not, or right.
 
     When the ball arrives at the last row, the episode ends with 1 if the paddle is there, else

@@ -10,7 +10,7 @@ from gymnasium.spaces import Box, Discrete
 from numpy.typing import NDArray
 
 from trl_explore.checks import check_number
-from trl_explore.envs.kernels.bsuite import Task
+from trl_explore.envs.kernels.bsuite import ExplorationTask
 from trl_explore.envs.kernels.kernel import Kernel, register_kernel
 from trl_explore.numerics.compiled.cache import kernel_function
 from trl_explore.numerics.compiled.philox import random
@@ -22,7 +22,7 @@ UPRIGHT, SLOW, NOISE = 0.95, 1.0, 0.05
 largest deviation at the start from hanging at rest."""
 
 
-class SwingUp(Task):
+class SwingUp(ExplorationTask):
     """gymnasium's Pendulum with the torques −2, 0 and 2, and a reward only where it is up.
 
     θ̈ = 15 sin θ + 3 u for angle θ (0 is up), torque u, mass 1 kg and length 1 m, in steps of
