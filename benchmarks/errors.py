@@ -25,10 +25,11 @@ from trl_explore.jobs.reading import find_jobs, read_job
 from trl_explore.names import strategy_label
 from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import Estimate
-from trl_explore.statistics.means import mean_difference, mean_interval, time_per_success
+from trl_explore.statistics.means import mean_difference, mean_interval
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import select
 from trl_explore.statistics.samples import Sample
+from trl_explore.statistics.survival import time_per_success
 from trl_explore.thesis import CLAIMS, Claim, Study, check_claims, rules
 from trl_explore.thesis.study import STRATEGIES
 

@@ -13,11 +13,11 @@ import pytest
 from trl_explore.commands import main, status
 from trl_explore.jobs import sweeps
 from trl_explore.jobs.checkpoint import Store, pack
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.jobs.lock import Lock
 from trl_explore.jobs.reading import find_jobs, read_run
 from trl_explore.jobs.signals import Interrupted
-from trl_explore.jobs.sweeps import report, survey
+from trl_explore.jobs.status import report, survey
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "status.py"
 REASON = "epsilon must be a number in [0, 1], got 2"

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from trl_explore.commands.time import time_trial
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.jobs.records import read_timings
 from trl_explore.jobs.writing import write_timings
 from trl_explore.report.loading import load

@@ -5,14 +5,18 @@ from __future__ import annotations
 import itertools
 import subprocess
 import sys
+from contextlib import closing
 
+import numpy as np
 import pytest
 from hydra import compose
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from torchrl.envs.utils import ExplorationType
 
 from tests.config.composed import composed
+from trl_explore.collectors import FusedCollector
 from trl_explore.config import (
     CONF,
     GROUPS,
@@ -24,6 +28,8 @@ from trl_explore.config import (
 )
 from trl_explore.config.building import STOPPING
 from trl_explore.config.checking import options
+from trl_explore.envs import make_env
+from trl_explore.numerics.streams import Stream
 
 pytestmark = pytest.mark.usefixtures("hydra")
 
@@ -215,3 +221,21 @@ def test_strategies_know_every_argument_by_their_yaml():
         assert set(config.strategy) - {"_target_"} == keys
         with pytest.raises((HydraException, OmegaConfBaseException)):
             composed(f"strategy={path.stem}", "strategy.nonsense=1")
+
+
+@pytest.mark.parametrize("collector", ["fused", "torchrl"])
+def test_evaluations_share_the_environment_of_the_training_and_play_their_own_stream(collector):
+    """The same episodes as with an environment of the evaluations' own."""
+    config, _ = composed(f"collector={collector}", "trials=2", "max_iterations=3", "seed=5")
+    with closing(build_trainer(config)) as trainer:
+        trainer.run()
+        shared = trainer.evaluator.collector
+        assert shared.env is trainer.collector.env
+        env = make_env("CartPole-v1", 2, seed=5, stream=Stream.EVALUATION)
+        options = {"exploration_type": ExplorationType.DETERMINISTIC}
+        own = FusedCollector(env, shared.policy, **options)
+        played = [c.play(np.array([0, 1, 1]), np.array([4, 9, 2])) for c in (shared, own)]
+        for got, wanted in zip(*played, strict=True):
+            np.testing.assert_array_equal(got, wanted)
+        same = FusedCollector(trainer.collector.env, shared.policy, **options)
+        assert (same.play(np.array([0, 1, 1]), np.array([4, 9, 2]))[0] != played[0][0]).any()

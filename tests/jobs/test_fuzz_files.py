@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from trl_explore import jobs as results
-from trl_explore.jobs.columns import ResultsError
-from trl_explore.jobs.sweeps import report, survey
+from trl_explore.jobs.files import ResultsError
+from trl_explore.jobs.status import report, survey
 from trl_explore.report.build import build_report
 from trl_explore.report.loading import load
 

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from trl_explore.jobs import lock, sweeps
+from trl_explore.jobs import lock, status
 from trl_explore.jobs.lock import NAME, Lock, LockedError, is_locked
 
 HOST = socket.gethostname()
@@ -70,7 +70,7 @@ def test_status_in_another_process(reason, tmp_path, monkeypatch):
     with Lock(tmp_path / "job"):
         (tmp_path / "job" / "trials.csv").touch()
         monkeypatch.setattr(lock, "_reasons", {})
-        (sweep,) = sweeps.survey([tmp_path])
+        (sweep,) = status.survey([tmp_path])
         assert [job.state for job in sweep.jobs] == ["running"]
 
 

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.jobs.reading import read_job
 from trl_explore.jobs.records import read_diagnostics, read_episodes, read_evaluations
 from trl_explore.training.diagnostics import COLUMNS

@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from tests.jobs.written import CONFIG, WEIGHTS, record, write
 from trl_explore import jobs as results
 from trl_explore.jobs import files, writing
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.training.trials import Trials
 
 TRIALS_CSV = """\

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.logs.identify import Identity, identify, identify_by, labels
 
 

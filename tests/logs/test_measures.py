@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.logs.log import Curve, clean
 from trl_explore.logs.measures import profile, seeds_text, tasks
 from trl_explore.logs.readers import Run

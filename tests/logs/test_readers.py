@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.logs.readers import READERS, read_runs
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from trl_explore.report.build import build_report
-from trl_explore.report.crossings import Run, crossings
+from trl_explore.report.crossings import Cell, crossings
 from trl_explore.report.curves import Heights
 from trl_explore.report.decomposition import decompose
 from trl_explore.report.figures import draw_why
@@ -30,7 +30,7 @@ def run(make, learned, strategy="softmax", parameters=T, heights=None, **more):
     if heights is not None:
         behaved, evaluated = (np.array(12 * x, dtype=float) for x in heights)
         of = Heights([(0, k) for k in range(len(learned))], evaluated, evaluated, behaved)
-    return Run("CartPole-v1", judged(o, "passed"), judged(o, "learned"), of)
+    return Cell("CartPole-v1", judged(o, "passed"), judged(o, "learned"), of)
 
 
 @pytest.fixture
@@ -170,7 +170,7 @@ def test_where_nobody_learns_the_score_is_spoken_of(make):
         o = make(20 * [1000], learned=20 * [None], groups={"correction": correction}, **more)
         height = level + np.tile([0.0, 0.01], 10)
         of = Heights([(0, k) for k in range(20)], height, height, height)
-        return Run("FrozenLake-v1", judged(o, "passed"), judged(o, "learned"), of)
+        return Cell("FrozenLake-v1", judged(o, "passed"), judged(o, "learned"), of)
 
     greedy = {"strategy": "epsilon_greedy", "parameters": EPSILON}
     cells = [

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.report.build import build_report
 from trl_explore.report.loading import UNFINISHED, load
 

@@ -1,4 +1,12 @@
+import io
+import re
+import zlib
+
+import numpy as np
+from fontTools.ttLib import TTFont
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 from trl_explore.report.formats import to_pdf, to_png, to_svg
 from trl_explore.report.style import visual_language
@@ -29,6 +37,34 @@ def test_png_has_no_version_and_is_fine_enough_for_print():
     png = to_png(figure())
     assert b"Matplotlib" not in png
     assert int.from_bytes(png[16:20], "big") == 400
+
+
+def test_png_has_the_pixels_of_the_drawing():
+    drawn = figure()
+    drawn.set_dpi(200)
+    canvas = FigureCanvasAgg(drawn)
+    canvas.draw()
+    expected = np.asarray(canvas.buffer_rgba())
+    assert (expected[..., 3] == 255).all()
+    found = np.asarray(Image.open(io.BytesIO(to_png(figure()))))
+    assert (found == expected[..., :3]).all()
+
+
+def test_pdf_embeds_the_outlines_of_its_letters():
+    pdf = to_pdf(figure("ab ≥"))
+    fonts = [
+        TTFont(io.BytesIO(data))
+        for stream in re.findall(rb"stream\r?\n(.*?)endstream", pdf, flags=re.S)
+        if (data := zlib.decompressobj().decompress(stream)).startswith(b"\0\1\0\0")
+    ]
+    letters = "ab≥1230."
+    drawn = sum(
+        font["glyf"][name].numberOfContours > 0
+        for font in fonts
+        for name in font["glyf"].glyphOrder
+    )
+    assert drawn >= len(letters)
+    assert all({"cvt ", "fpgm", "prep", "hmtx"} <= set(font.keys()) for font in fonts)
 
 
 def test_names_are_drawn_as_they_are_written():

@@ -11,7 +11,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from trl_explore.config import composing, job_name, register_resolvers
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.jobs.reading import find_folders, find_jobs
 from trl_explore.report.build import build_report
 from trl_explore.report.loading import load

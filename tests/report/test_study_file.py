@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.report.build import build_report
 from trl_explore.report.evidence import Evidence, gather
 from trl_explore.report.loading import load

@@ -6,7 +6,6 @@ from scipy import stats
 
 from trl_explore.statistics.comparisons import (
     SCORE,
-    area,
     compare,
     compare_all,
     compare_pairs,
@@ -219,20 +218,6 @@ def test_scores_need_no_common_cap(make, rng):
     assert compare(a, b, SCORE).winner == "b"
     with pytest.raises(ValueError, match="cap"):
         compare(a, b)
-
-
-def test_area_under_the_curve(make, rng):
-    a, b = make([1000] * 30, strategy="a"), make([1000] * 30, strategy="b")
-    rise = np.linspace(0.0, 100.0, 50) + rng.normal(0.0, 5.0, (30, 50))
-    stopped = rise + 10.0
-    stopped[3, 40:] = np.nan
-    measure = area({"a": rise, "b": stopped})
-    c = compare(a, b, measure)
-    assert c.winner == "b"
-    assert c.mean_a == pytest.approx(rise.mean())
-    assert measure.of(b).values[3] == pytest.approx(
-        (stopped[3, :40].sum() + 10 * stopped[3, 39]) / 50
-    )
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,10 @@ from scipy import stats
 
 from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import pass_rate
-from trl_explore.statistics.means import mean_difference, mean_interval, time_per_success
+from trl_explore.statistics.means import mean_difference, mean_interval
 from trl_explore.statistics.samples import Kind, Sample
 from trl_explore.statistics.summary import summarise_scores
+from trl_explore.statistics.survival import time_per_success
 
 CAP = 1000.0
 

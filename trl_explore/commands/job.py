@@ -23,7 +23,7 @@ from trl_explore.config.sweeping import Process
 from trl_explore.jobs import signals
 from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
 from trl_explore.jobs.code import changed_code, code_digests
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.jobs.lock import NAME as LOCK
 from trl_explore.jobs.lock import Lock, LockedError
 from trl_explore.jobs.resume import Checkpoints

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from trl_explore.jobs.columns import ResultsError
 from trl_explore.jobs.console import Bar, printable, tell, text_table
+from trl_explore.jobs.files import ResultsError
 from trl_explore.logs.csv_files import USUAL
 from trl_explore.logs.measures import tasks
 from trl_explore.logs.readers import READERS, read_runs

@@ -10,7 +10,7 @@ from shutil import get_terminal_size
 
 from trl_explore.jobs.console import tell
 from trl_explore.jobs.files import ResultsError, flaws
-from trl_explore.jobs.sweeps import DONE, RUNNING, SHOWN, SweepStatus, report, survey
+from trl_explore.jobs.status import DONE, RUNNING, SHOWN, SweepStatus, report, survey
 
 EVERY = 2.0
 """Seconds between two looks of ``--watch``."""

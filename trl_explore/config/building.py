@@ -230,8 +230,7 @@ def _evaluator(
     from tensordict.nn import TensorDictSequential
     from torchrl.envs.utils import ExplorationType
 
-    from trl_explore.collectors import NotCompilableError, auto_collector
-    from trl_explore.collectors.fused.collector import compilable
+    from trl_explore.collectors import FusedCollector, NotCompilableError, auto_collector
     from trl_explore.numerics.streams import Stream
     from trl_explore.training.evaluation import Evaluator, acting
 
@@ -239,23 +238,22 @@ def _evaluator(
         return None
     modules = cast(Any, acting(strategy, config.evaluate_policy))
     both = TensorDictSequential(policy, modules)
-    if config.evaluate_every == "auto":
-        try:
-            compilable(env, both)
-        except NotCompilableError as error:
+    greedy = config.evaluate_policy == "greedy"
+    options = {
+        "exploration_type": ExplorationType.DETERMINISTIC if greedy else ExplorationType.RANDOM
+    }
+    try:
+        collector = FusedCollector(env, both, stream=Stream.EVALUATION, **options)
+    except NotCompilableError as error:
+        if config.evaluate_every == "auto":
             if (episodes := config.evaluate_episodes) != load("train").evaluate_episodes:
                 raise ConfigError(
                     f"evaluate_episodes={episodes} needs evaluations, but evaluate_every=auto has"
                     f" none without a compiled kernel ({error}); give an integer >= 1"
                 ) from None
             return None
-    greedy = config.evaluate_policy == "greedy"
-    collector = auto_collector(
-        _environment(config)(trials=size, stream=Stream.EVALUATION, **streams),
-        both,
-        announce=False,
-        exploration_type=ExplorationType.DETERMINISTIC if greedy else ExplorationType.RANDOM,
-    )
+        other = _environment(config)(trials=size, stream=Stream.EVALUATION, **streams)
+        collector = auto_collector(other, both, announce=False, **options)
     return calling(
         None,
         lambda: Evaluator(

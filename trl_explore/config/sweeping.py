@@ -17,7 +17,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn
@@ -28,6 +28,7 @@ from omegaconf import DictConfig, OmegaConf
 from trl_explore.checks import first_line
 from trl_explore.config.files import ConfigError
 from trl_explore.config.naming import register_resolvers
+from trl_explore.config.nodes import to_yaml
 from trl_explore.config.plugins import await_all, plan
 from trl_explore.jobs import sweeps
 from trl_explore.jobs.lock import is_locked
@@ -261,11 +262,12 @@ def is_multirun() -> bool:
 
 def save_hydra(folder: Path, config: DictConfig) -> None:
     """Write ``.hydra/`` as Hydra does."""
+    own = cast(DictConfig, HydraConfig.instance().cfg)
     files = {
-        "config.yaml": config,
-        "hydra.yaml": HydraConfig.instance().cfg,
-        "overrides.yaml": HydraConfig.get().overrides.task,
+        "config.yaml": to_yaml(config),
+        "hydra.yaml": to_yaml(own),
+        "overrides.yaml": OmegaConf.to_yaml(own.hydra.overrides.task),
     }
     (folder / ".hydra").mkdir(exist_ok=True)
-    for name, node in files.items():
-        (folder / ".hydra" / name).write_text(OmegaConf.to_yaml(node), encoding="utf-8")
+    for name, text in files.items():
+        (folder / ".hydra" / name).write_text(text, encoding="utf-8")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.statistics.outcomes import Outcomes, lower_median
 
 if TYPE_CHECKING:
     from trl_explore.training.trials import Trials
@@ -210,7 +210,6 @@ def _counted(
     """How many trials had the event, and the median iterations until then."""
     if event is None or iterations is None:
         return "–", "–"
-    # The lower median: for an even number of trials, the smaller of the two middle values.
-    median = np.sort(np.where(event, iterations, np.inf))[(len(event) - 1) // 2]
+    median = lower_median(iterations, event)
     after = f"{median:.0f}" if np.isfinite(median) else f"> {iterations[~event].max()}"
     return f"{int(event.sum())} ({event.mean():.0%})", after

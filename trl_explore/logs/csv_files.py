@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.logs.log import (
     Log,
     Points,

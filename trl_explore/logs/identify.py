@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 
 SEED = re.compile(
     r"(?:^|[_.\- (,])(?:random_?seed|seed|s)(?:[_=\-]|:? )?(\d{1,19})(?=$|[_.\- ,)])", re.I

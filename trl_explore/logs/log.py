@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from trl_explore.checks import first_line
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Steps and values [n], in the order of the file."""

@@ -17,7 +17,7 @@ from statistics import median_low
 import numpy as np
 from numpy.typing import NDArray
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.logs.readers import Run
 from trl_explore.statistics.comparisons import Measure
 from trl_explore.statistics.estimates import Estimate, pass_rate

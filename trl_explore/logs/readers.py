@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.logs import csv_files as files
 from trl_explore.logs import sb3, tensorboard
 from trl_explore.logs.identify import identify, identify_by, labels

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.logs.log import Log, Points, by_folder, files_below, hydra_facts, place_of
 
 SCORES = (

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.report.evidence import gather
 from trl_explore.report.figures import Picture, draw_all, draw_why
 from trl_explore.report.loading import Gap, Say, load, silent
@@ -42,10 +43,14 @@ def build_report(
     evidence = gather(load(folders, say), study, say)
     figures = {}
     n = len(evidence.groups)
-    for k, part in enumerate(evidence.groups, start=1):
-        say(0.5 + 0.4 * (k - 1) / n, f"figures {k} of {n}: {part.group.title}")
-        figures[part.group.id] = list(draw_all(part))
-    acting = list(draw_why(evidence.decompositions))
+    gc.freeze()  # while figures are drawn, the collector looks at no module and no result
+    try:
+        for k, part in enumerate(evidence.groups, start=1):
+            say(0.5 + 0.4 * (k - 1) / n, f"figures {k} of {n}: {part.group.title}")
+            figures[part.group.id] = list(draw_all(part))
+        acting = list(draw_why(evidence.decompositions))
+    finally:
+        gc.unfreeze()
     say(0.9, "page")
     html, tables = page(evidence, figures, acting, MAP if (out / MAP).is_file() else "")
     pictures: list[Picture] = [f for group in figures.values() for f in group]

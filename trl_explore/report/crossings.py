@@ -20,7 +20,7 @@ REFERENCE = "softmax"
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Cell:
     """A configuration by both measures, and the heights of its curves, if they are known."""
 
     environment: str
@@ -79,10 +79,10 @@ class Crossing:
 
     environment: str
     label: str
-    cells: Mapping[str, Run]
+    cells: Mapping[str, Cell]
 
 
-def crossings(runs: Sequence[Run]) -> list[Crossing]:
+def crossings(runs: Sequence[Cell]) -> list[Crossing]:
     """Every strategy that was run together with softmax and has a further cell, in their order.
 
     The cells may belong to several experiments, but agree in everything else: environment, policy,
@@ -110,7 +110,7 @@ def crossings(runs: Sequence[Run]) -> list[Crossing]:
     return found
 
 
-def _label(run: Run, runs: Sequence[Run]) -> str:
+def _label(run: Cell, runs: Sequence[Cell]) -> str:
     """The strategy; with its parameters if there are several of the name."""
     name, own = run.passed.strategy, run.passed.parameters
     several = len({r.acts for r in runs if r.passed.strategy == name}) > 1
@@ -118,7 +118,7 @@ def _label(run: Run, runs: Sequence[Run]) -> str:
     return ", ".join([strategy_label(name), *(shown if several else ())])
 
 
-def _places(runs: Sequence[Run]) -> dict[str, str]:
+def _places(runs: Sequence[Cell]) -> dict[str, str]:
     """The name of every environment and its other settings, unique: "CartPole-v1, 2"."""
     found: dict[str, str] = {}
     for run in runs:

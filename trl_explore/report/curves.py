@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from trl_explore.jobs.columns import EPISODES, ResultsError
+from trl_explore.jobs.columns import EPISODES
+from trl_explore.jobs.files import ResultsError
 from trl_explore.jobs.records import (
     read_curves,
     read_diagnostics,

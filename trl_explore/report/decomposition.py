@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trl_explore.report.crossings import Run, crossings
+from trl_explore.report.crossings import Cell, crossings
 from trl_explore.statistics.comparisons import holm
 from trl_explore.statistics.decomposition import Cells, aligned, share_of
 from trl_explore.statistics.estimates import LEVEL, Estimate
@@ -119,7 +119,7 @@ class Decomposition:
     passes: tuple[int, int, int] | None
 
 
-def decompose(runs: Sequence[Run], level: float = LEVEL) -> list[Decomposition]:
+def decompose(runs: Sequence[Cell], level: float = LEVEL) -> list[Decomposition]:
     """The decompositions of all strategies that the runs of a report allow, in their order.
 
     The p-values of the data are corrected over the strategies of an environment.
@@ -202,7 +202,7 @@ def _acting_share(cells: Mapping[str, Mapping[str, Sample]], level: float) -> Es
     return share_of(handicap[1] - handicap[0], behaved[0] - behaved[1], level=level)
 
 
-def _passes(cells: Mapping[str, Run]) -> tuple[int, int, int] | None:
+def _passes(cells: Mapping[str, Cell]) -> tuple[int, int, int] | None:
     if "corrected" not in cells:
         return None
     both = [cells[name].passed for name in ("plain", "corrected")]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from trl_explore import thesis
 from trl_explore.names import experiment, experiment_rank
 from trl_explore.report import layouts, sentences
-from trl_explore.report.crossings import Run
+from trl_explore.report.crossings import Cell
 from trl_explore.report.curves import Traces, read_traces
 from trl_explore.report.decomposition import Decomposition, decompose
 from trl_explore.report.groups import Group, group_jobs
@@ -143,7 +143,7 @@ def gather(loaded: Loaded, study: StudyFile | None = None, say: Say = silent) ->
     runs = []
     for p in parts:
         learned = {c.name: c for c in p.group.learned}
-        runs += [Run(p.group.environment, c, learned.get(c.name), p.traces.heights.get(c.name))
+        runs += [Cell(p.group.environment, c, learned.get(c.name), p.traces.heights.get(c.name))
                  for c in p.group.configurations]  # fmt: skip
     decompositions = decompose(runs, study.level)
     return Evidence(

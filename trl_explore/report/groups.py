@@ -127,7 +127,7 @@ class Group:
     def timed(self, c: Outcomes) -> tuple[Outcomes, NDArray[np.float64]]:
         """The trials of a configuration that were timed alone, and their seconds [n]."""
         timing = next((job.timing for job in self.jobs[c.name] if job.timing is not None), None)
-        first = {int(t): i for i, t in reversed(list(enumerate(c.trial)))}
+        first = c.first_index
         pairs = zip(timing.trial, timing.seconds, strict=True) if timing is not None else ()
         known = [(first[int(t)], s) for t, s in pairs if int(t) in first]
         index = np.array([i for i, _ in known], dtype=np.intp)

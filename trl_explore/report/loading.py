@@ -14,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 
 from trl_explore import jobs as results
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.jobs.sweeps import LOOKS, VERDICTS
 from trl_explore.names import strategy_label, symbol
 from trl_explore.report.factors import value_words
@@ -163,14 +163,14 @@ def _timing_of(timings: pd.DataFrame | None, outcomes: Outcomes) -> Timing | Non
     return Timing(trial[order].astype(np.int64), seconds[order].astype(np.float64))
 
 
-Rule = tuple[Any, ...]
-"""Experiment, cap, and the rest of a stopping rule."""
+StoppingRule = tuple[Any, ...]
+"""Experiment, cap, and the rest of the rule."""
 
 
-def set_aside(by_rule: dict[Rule, list[Job]]) -> dict[Rule, list[str]]:
+def set_aside(by_rule: dict[StoppingRule, list[Job]]) -> dict[StoppingRule, list[str]]:
     """Remove the pilots; a note for the group that is used instead of each."""
     sizes = {rule: _trials_by_key(jobs) for rule, jobs in by_rule.items()}
-    notes: dict[Rule, list[str]] = {}
+    notes: dict[StoppingRule, list[str]] = {}
     for rule, mine in sorted(sizes.items(), key=lambda item: sum(item[1].values())):
         for other, theirs in sizes.items():
             longer = other[1] >= rule[1] and (other[0], *other[2:]) == (rule[0], *rule[2:])

@@ -23,9 +23,9 @@ from trl_explore.report.tables import (
     Table,
     estimate_cell,
     estimates,
-    figure,
     interval,
     negated,
+    number_text,
     p_value,
     plain_columns,
     rate_cell,
@@ -204,8 +204,8 @@ def pair_sentence(c: Comparison, measure: Measure, labels: Mapping[str, str] | N
     difference = c.difference if best == c.a else negated(c.difference)
     better = "takes fewer" if measure.less_is_better else "has a higher"
     return (
-        f"{name[best]} {better} {measure.name} than {name[rest]}: {figure(high)} against"
-        f" {figure(low)} on average, a difference of {interval(difference)}"
+        f"{name[best]} {better} {measure.name} than {name[rest]}: {number_text(high)} against"
+        f" {number_text(low)} on average, a difference of {interval(difference)}"
         f" (p {p_value(c.p_holm)}, {design})."
     )
 
@@ -283,7 +283,7 @@ def summary_table(task: Task, id: str) -> Table:
     if task.threshold is not None:
         columns += [
             Column("pass_rate", f"exceeded {task.threshold:g}", rate_cell(), True),
-            Column("median", "median steps", estimate_cell("median", figure, "not reached"), True),
+            Column("median", "median steps", estimate_cell("median", infinite="not reached"), True),
             Column("mean_steps", "mean steps", estimate_cell("mean_steps"), True),
         ]
     titles = {

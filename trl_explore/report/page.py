@@ -21,7 +21,7 @@ from trl_explore.report.formats import inline_svg, theme_css
 from trl_explore.report.groups import Group
 from trl_explore.report.methods import paragraph, settings_table
 from trl_explore.report.results_tables import gaps_table, group_tables, jobs_table
-from trl_explore.report.tables import Table, listed
+from trl_explore.report.tables import Table, listed, span
 from trl_explore.report.verdicts import claims_table, distance, tally, why_tables
 from trl_explore.report.why import decomposition_tables, headline
 from trl_explore.statistics.outcomes import Outcomes
@@ -166,8 +166,7 @@ def episodes_per_iteration(outcomes: Iterable[Outcomes]) -> str:
 
 def group_facts(group: Group) -> str:
     """One line that describes a group."""
-    counts = sorted({len(c) for c in group.configurations})
-    trials = f"{counts[0]:,}" if len(counts) == 1 else f"{counts[0]:,} to {counts[-1]:,}"
+    trials = span(len(c) for c in group.configurations)
     n = len(group.configurations)
     what = "1 configuration" if n == 1 else f"{n} configurations"
     judged_by = group.configurations[0].judged_by

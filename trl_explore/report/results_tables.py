@@ -18,7 +18,7 @@ from trl_explore.report.tables import (
     Record,
     Table,
     estimate_cell,
-    figure,
+    number_text,
     p_cell,
     plain_columns,
     rate_cell,
@@ -91,7 +91,7 @@ def pair_records(
 
 def pair_columns(
     quantity: str = "",
-    text: Callable[[float], str] = figure,
+    text: Callable[[float], str] = number_text,
     *,
     better: str = "better",
     by: str = "",
@@ -239,7 +239,7 @@ def _count(x: float) -> str:
 
 
 def _score(x: float) -> str:
-    return f"{x:,.1f}".replace("-", "−") if abs(x) >= 9.995 else figure(x)
+    return f"{x:,.1f}".replace("-", "−") if abs(x) >= 9.995 else number_text(x)
 
 
 def _percent(x: float) -> str:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from fnmatch import fnmatch
 from typing import Any
 
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.names import strategy_label
 from trl_explore.report.factors import Factor, arguments, canonical, class_words
 from trl_explore.report.groups import Group

@@ -8,7 +8,16 @@ from math import nan
 from trl_explore.names import strategy_label
 from trl_explore.report.groups import Group
 from trl_explore.report.questions import Confound, Question
-from trl_explore.report.tables import FEW, MOST, capital, figure, interval, listed, negated, some
+from trl_explore.report.tables import (
+    FEW,
+    MOST,
+    capital,
+    interval,
+    listed,
+    negated,
+    number_text,
+    some,
+)
 from trl_explore.statistics.comparisons import Comparison, too_few
 from trl_explore.statistics.estimates import LEVEL, Estimate, pass_rate
 from trl_explore.statistics.outcomes import Outcomes
@@ -186,7 +195,8 @@ def score_sentence(
         mean = {c.a: c.mean_a, c.b: c.mean_b}
         e = c.difference if c.winner == c.a else negated(c.difference)
         said.append(
-            f"{labels[high]} {figure(mean[high])} against {labels[low]} {figure(mean[low])}"
+            f"{labels[high]} {number_text(mean[high])} against"
+            f" {labels[low]} {number_text(mean[low])}"
             f" (difference {interval(e)})"
         )
     more = f"; and {len(found) - MOST} more pairs" if len(found) > MOST else ""

@@ -35,7 +35,7 @@ from typing import Any
 import yaml
 
 from trl_explore import thesis
-from trl_explore.jobs.columns import ResultsError
+from trl_explore.jobs.files import ResultsError
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.thesis import CLAIMS
 from trl_explore.thesis.algebra import RULES

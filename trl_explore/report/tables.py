@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -167,6 +167,16 @@ def some(words: Sequence[str]) -> str:
     return listed([*words[:MOST], *more])
 
 
+def span(counts: Iterable[int]) -> str:
+    """The least and the greatest number, or the only one.
+
+    >>> span([30, 1000, 30]), span([30])
+    ('30 to 1,000', '30')
+    """
+    ends = sorted(set(counts))
+    return f"{ends[0]:,}" if len(ends) == 1 else f"{ends[0]:,} to {ends[-1]:,}"
+
+
 def capital(text: str) -> str:
     """The text as the beginning of a sentence; ε has no capital."""
     return text[:1].upper() + text[1:] if text[:1].isascii() else text
@@ -177,10 +187,10 @@ def uncapital(sentence: str) -> str:
     return sentence if sentence[1:2] == " " else sentence[:1].lower() + sentence[1:]
 
 
-def figure(x: float) -> str:
+def number_text(x: float) -> str:
     """A number with at least three significant digits.
 
-    >>> figure(1234.5), figure(44.68), figure(-0.01234), figure(math.inf)
+    >>> number_text(1234.5), number_text(44.68), number_text(-0.01234), number_text(math.inf)
     ('1,234', '44.7', '−0.0123', '∞')
     """
     if not math.isfinite(x):
@@ -198,8 +208,8 @@ def interval(e: Estimate) -> str:
     ('27.3 [24.1, 30.6]', '1.00')
     """
     if math.isnan(e.low) or (e.low, e.high) == (-math.inf, math.inf):
-        return figure(e.value)
-    return f"{figure(e.value)} [{figure(e.low)}, {figure(e.high)}]"
+        return number_text(e.value)
+    return f"{number_text(e.value)} [{number_text(e.low)}, {number_text(e.high)}]"
 
 
 def negated(e: Estimate) -> Estimate:
@@ -240,7 +250,7 @@ def p_cell(key: str) -> Callable[[Record], str]:
 
 
 def estimate_cell(
-    key: str, text: Callable[[float], str] = figure, infinite: str = "∞"
+    key: str, text: Callable[[float], str] = number_text, infinite: str = "∞"
 ) -> Callable[[Record], str]:
     """The text of an estimate in a column, with its interval in a second line."""
 

@@ -15,7 +15,7 @@ from trl_explore.report.formats import drawn_files
 from trl_explore.report.logs import Section, pair_sentence, sample_mean, write_sections
 from trl_explore.report.results_tables import pair_columns, pair_records
 from trl_explore.report.style import styles, visual_language
-from trl_explore.report.tables import Column, Table, estimates, figure, plain_columns
+from trl_explore.report.tables import Column, Table, estimates, number_text, plain_columns
 from trl_explore.statistics.comparisons import Measure, compare_all
 from trl_explore.statistics.estimates import LEVEL, flat
 from trl_explore.statistics.outcomes import Outcomes
@@ -139,7 +139,7 @@ def _picked_table(tuned: Sequence[Tuned], measure: Measure) -> Table:
         *plain_columns("strategy"),
         Column("tried", "settings", lambda r: str(r["tried"]), True),
         Column("setting", "best", lambda r: str(r["setting"])),
-        Column("tuning", f"{measure.name}, tuning seed", lambda r: figure(r["tuning"]), True),
+        Column("tuning", f"{measure.name}, tuning seed", lambda r: number_text(r["tuning"]), True),
         *estimates({"judging": f"{measure.name}, judging seed"}),
     ]
     return Table("tuned", "The best setting of each strategy", columns, records, main=True)

@@ -12,8 +12,8 @@ from trl_explore.report.tables import (
     Column,
     Record,
     Table,
-    figure,
     interval,
+    number_text,
     p_value,
     percent,
     plain_columns,
@@ -61,9 +61,12 @@ def _acting_said(found: Sequence[Decomposition]) -> str:
     known = known[:MOST] + known[-1:] if len(known) > MOST + 1 else known
     first, *others = known
     said = [
-        f"{first[0]} scores {figure(first[1].behaved.value)} with its exploration and"
-        f" {figure(first[1].learned.value)} without it",
-        *(f"{name} {figure(a.behaved.value)} and {figure(a.learned.value)}" for name, a in others),
+        f"{first[0]} scores {number_text(first[1].behaved.value)} with its exploration and"
+        f" {number_text(first[1].learned.value)} without it",
+        *(
+            f"{name} {number_text(a.behaved.value)} and {number_text(a.learned.value)}"
+            for name, a in others
+        ),
     ]
     return (
         "Acting: an agent’s score while it explores is not what it has learned. With the same"
@@ -97,8 +100,8 @@ def _share_said(strategy: str, p: Parts, words: Words) -> str:
     """The share of the bias in the difference, by each way in which it was measured."""
     more = "more" if p.gap.value > 0 else words.fewer
     whole = (
-        f"the {figure(abs(p.gap.value))} {words.unit} that {strategy} {words.verb} {more} than"
-        f" softmax ({figure(p.plain)} against {figure(p.reference)})"
+        f"the {number_text(abs(p.gap.value))} {words.unit} that {strategy} {words.verb} {more} than"
+        f" softmax ({number_text(p.plain)} against {number_text(p.reference)})"
     )
     known = [
         (share, how, name, change, sign)
@@ -119,7 +122,7 @@ def _share_said(strategy: str, p: Parts, words: Words) -> str:
     for share, _, name, how, sign in known:
         change = sign * share.value * p.gap.value
         more = "more" if change > 0 else words.fewer
-        changes.append(f"{how}, {name} {words.verb} {figure(abs(change))} {words.unit} {more}")
+        changes.append(f"{how}, {name} {words.verb} {number_text(abs(change))} {words.unit} {more}")
     return f"no share of {whole}: {' and, '.join(changes)}"
 
 
@@ -230,13 +233,19 @@ def _acting(d: Decomposition) -> str:
     a = d.acting.get("plain")
     if a is None:
         return "–"
-    lines = f"{figure(a.behaved.value)} and {figure(a.learned.value)}\n{interval(a.handicap)}"
+    lines = (
+        f"{number_text(a.behaved.value)} and {number_text(a.learned.value)}\n{interval(a.handicap)}"
+    )
     known = d.acting_share is not None and not np.isnan(d.acting_share.value)
     return f"{lines}\nshare {percent(d.acting_share)}" if known else lines
 
 
 def _gap(p: Parts | None) -> str:
-    return "–" if p is None else f"{interval(p.gap)}\n{figure(p.plain)} − {figure(p.reference)}"
+    return (
+        "–"
+        if p is None
+        else f"{interval(p.gap)}\n{number_text(p.plain)} − {number_text(p.reference)}"
+    )
 
 
 def _bias(p: Parts | None) -> str:
@@ -278,8 +287,8 @@ def _quantities(found: Sequence[Decomposition]) -> Table:
     columns = [
         *plain_columns("environment", "strategy"),
         Column("quantity", "quantity", lambda r: QUANTITIES[r["quantity"]]),
-        of("plain", "uncorrected", figure),
-        of("reference", "softmax", figure),
+        of("plain", "uncorrected", number_text),
+        of("reference", "softmax", number_text),
         of("gap", "difference", interval),
         of("assumed", "bias, added", percent),
         of("corrected", "bias, removed", percent),

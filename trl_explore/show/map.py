@@ -20,7 +20,8 @@ from tensordict.nn import TensorDictSequential
 from trl_explore import policies, strategies
 from trl_explore.collectors import auto_collector
 from trl_explore.envs import make_env
-from trl_explore.jobs.columns import EVALUATIONS, ResultsError
+from trl_explore.jobs.columns import EVALUATIONS
+from trl_explore.jobs.files import ResultsError
 from trl_explore.jobs.reading import find_jobs, read_job
 from trl_explore.jobs.records import read_curves, read_weights
 from trl_explore.names import option_of, strategy_label

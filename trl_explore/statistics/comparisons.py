@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, count
 from math import inf
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import LEVEL, Estimate, flat
-from trl_explore.statistics.means import MeanDifference, least_p, mean_difference
+from trl_explore.statistics.means import MeanDifference, mean_difference
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.pairing import check_comparable, refuse_shared
+from trl_explore.statistics.power import least_p
 from trl_explore.statistics.samples import Sample, common_trials
 from trl_explore.statistics.survival import logrank_test, probability_faster
 
@@ -33,34 +33,6 @@ ITERATIONS = Measure("iterations", samples.iterations, less_is_better=True)
 """Iterations to convergence, restricted to the cap."""
 SCORE = Measure("score", samples.scores)
 """The final score; of outcomes that were judged by ``learned``, the learned score."""
-
-
-def area(curves: Mapping[str, ArrayLike], name: str = "area under the curve") -> Measure:
-    """The area under each trial's curve, divided by its length: the mean of the curve.
-
-    Args:
-        curves: name of a configuration -> values at equal distances [n_trials, m], in the order of
-            its trials; NaN after a trial stopped, which then keeps its last value.
-        name: name of the measure.
-
-    >>> a = area({"x": [[1.0, 3.0, np.nan], [2.0, 2.0, 2.0]]})
-    >>> held(np.array([[1.0, 3.0, np.nan]])).tolist()
-    [[1.0, 3.0, 3.0]]
-    """
-
-    def of(o: Outcomes) -> Sample:
-        values = held(np.asarray(curves[o.name], dtype=np.float64)).mean(axis=1)
-        score = samples.scores(replace(o, score=values))
-        # The kind of trials that stop early at a high score concerns the last window only.
-        return replace(score, kinds=score.kinds[:1])
-
-    return Measure(name, of)
-
-
-def held(curves: np.ndarray) -> np.ndarray:
-    """Curves [n, m] in which each NaN is replaced by the last value before it."""
-    where = np.where(np.isnan(curves), 0, np.arange(curves.shape[1]))
-    return np.take_along_axis(curves, np.maximum.accumulate(where, axis=1), axis=1)
 
 
 @dataclass(frozen=True)

@@ -24,21 +24,21 @@ Medical Research 21 (2012); Newcombe, Statistics in Medicine 17 (1998), 2635-265
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
-from math import comb, exp, hypot, inf, isinf, log, nan, sqrt
+from math import exp, hypot, inf, isinf, log, nan, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
 
 from trl_explore.statistics.estimates import LEVEL, Estimate, check_level, wilson
+from trl_explore.statistics.power import least_p
 from trl_explore.statistics.samples import Kind, Sample, common_trials
 
 # The smallest p-value that is searched for.
 LEAST_P = 1e-100
-# The largest number of trials whose relabellings are counted.
-COUNTED = 1000
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,10 @@ class MeanDifference:
     variance_ratio: float
     at: Callable[[float], Estimate] = field(repr=False, compare=False)
 
+    def to(self, level: float) -> MeanDifference:
+        """The same at another level; only the estimate's interval depends on it."""
+        return replace(self, estimate=self.at(level))
+
     def sign(self) -> int:
         """-1 or +1 if the interval, and so the test, excludes zero, otherwise 0."""
         return int(self.estimate.above(0.0)) - int(self.estimate.below(0.0))
@@ -108,7 +112,7 @@ def mean_interval(sample: Sample, *, level: float = LEVEL) -> Estimate:
 
 
 @dataclass(frozen=True)
-class Group:
+class Moments:
     """The trials of one kind: how many, mean and standard deviation (n - 1) of their values."""
 
     n: int
@@ -116,8 +120,8 @@ class Group:
     sd: float
 
     @classmethod
-    def of(cls, x: NDArray[np.float64]) -> Group:
-        """The group of values [n]; NaN for what is unknown."""
+    def of(cls, x: NDArray[np.float64]) -> Moments:
+        """Those of values [n]; NaN for what is unknown."""
         sd = float(x.std(ddof=1)) if len(x) > 1 else nan
         return cls(len(x), float(x.mean()) if len(x) else nan, sd)
 
@@ -130,7 +134,7 @@ class Group:
 
 def distances(sample: Sample) -> Callable[[float], Distances]:
     """α -> the distances from the mean to the ends of its interval at level 1 - α."""
-    x, n, ordinary = sample.values, len(sample), Group.of(sample.values[sample.ordinary])
+    x, n, ordinary = sample.values, len(sample), Moments.of(sample.values[sample.ordinary])
     if not sample.kinds:
         return lambda alpha: Distances(ordinary.half(alpha))
     cap, value, m = sample.cap, float(x.mean()), ordinary.mean
@@ -141,10 +145,10 @@ def distances(sample: Sample) -> Callable[[float], Distances]:
             return Distances(0.0, value - least, cap - value)
 
         return bounded
-    kinds = [(kind, Group.of(x[kind.members])) for kind in sample.kinds]
+    kinds = [(kind, Moments.of(x[kind.members])) for kind in sample.kinds]
 
     def combined(alpha: float) -> Distances:
-        ends = [_ends(kind, group, n, m, alpha) for kind, group in kinds]
+        ends = [_ends(kind, seen, n, m, alpha) for kind, seen in kinds]
         down, up = sum(d * d for d, _ in ends), sum(u * u for _, u in ends)
         for (i, (_, first)), (j, (_, second)) in combinations(enumerate(kinds), 2):
             # A trial of one kind is not of the other: corr(q_i, q_j) = -√(odds_i odds_j). If one
@@ -158,57 +162,25 @@ def distances(sample: Sample) -> Callable[[float], Distances]:
     return combined
 
 
-def _ends(kind: Kind, group: Group, n: int, m: float, alpha: float) -> tuple[float, float]:
+def _ends(kind: Kind, seen: Moments, n: int, m: float, alpha: float) -> tuple[float, float]:
     """How far q (f - m) can fall and rise, for the rate q and the mean f of a rare kind."""
-    q, (q_low, q_high) = group.n / n, wilson(group.n, n, _z(alpha))
+    q, (q_low, q_high) = seen.n / n, wilson(seen.n, n, _z(alpha))
     known = kind.least == kind.most
-    if group.n < 2 and not known:
-        value = q * (group.mean - m) if group.n else 0.0
+    if seen.n < 2 and not known:
+        value = q * (seen.mean - m) if seen.n else 0.0
         ends = [
             rate * (f - m) if rate > 0 else 0.0
             for rate in (q_low, q_high)
             for f in (kind.least, kind.most)
         ]
         return value - min(value, *ends), max(value, *ends) - value
-    f, half = (kind.most, 0.0) if known else (group.mean, group.half(alpha))
+    f, half = (kind.most, 0.0) if known else (seen.mean, seen.half(alpha))
     f_down, f_up = min(half, max(f - kind.least, 0.0)), min(half, max(kind.most - f, 0.0))
     fewer, more = (q - q_low) * (f - m), (q_high - q) * (f - m)
     return (
         hypot(max(fewer, -more), q_high * f_down),
         hypot(max(more, -fewer), q_high * f_up),
     )
-
-
-def time_per_success(times: Sample, *, level: float = LEVEL) -> Estimate:
-    """ERT: expected time until the first success if failed trials are restarted.
-
-    ERT = Σ_i time_i / #{converged} = m + f q / (1 - q), over all trials
-
-    The interval is MOVER's for the sum of m (Student's t) and f times the odds of failing
-    (Wilson). If no trial converges, the estimate is ``inf``, and m is anything from 0 to f.
-
-    Source: Hansen et al., COCO: performance assessment (2016), §4.
-
-    >>> time_per_success(Sample.of([100, 300], [False, True], least=300, most=300)).value
-    400.0
-    """
-    check_level(level)
-    n, passed = len(times), times.values[times.converged]
-    if n == 0:
-        raise ValueError(f"{times.label}: at least one trial is needed")
-    failed = times.values[~times.converged]
-    k = len(failed)
-    f = float(failed.mean()) if k else times.kinds[0].most if times.kinds else 0.0
-    least, most = (inf if q == 1.0 else q / (1.0 - q) for q in wilson(k, n, _z(1.0 - level)))
-    if k == n:
-        return Estimate(inf, f * least if n > 1 else nan, inf, level)
-    m, odds = float(passed.mean()), k / (n - k)
-    value = m + f * odds
-    if n == 1:
-        return Estimate(value, nan, nan, level)
-    half = Group.of(passed).half(1.0 - level) if len(passed) > 1 else max(m, f - m)
-    low, high = hypot(half, f * (odds - least)), hypot(half, f * (most - odds))
-    return Estimate(value, max(value - low, 0.0), value + high, level)
 
 
 def mean_difference(a: Sample, b: Sample, *, level: float = LEVEL) -> MeanDifference:
@@ -228,8 +200,8 @@ def mean_difference(a: Sample, b: Sample, *, level: float = LEVEL) -> MeanDiffer
     x, y = a.values, b.values
     value, n = float(x.mean() - y.mean()), min(len(x), len(y))
     if n < 2:
-        nothing = Estimate(value, nan, nan, level)
-        return MeanDifference(nothing, 1.0, n, paired, nan, nan, nan, lambda level: nothing)
+        nothing = partial(Estimate, value, nan, nan)
+        return MeanDifference(nothing(level), 1.0, n, paired, nan, nan, nan, nothing)
     first, second = distances(a), distances(b)
     r, phi = (_correlation(a, b), _phi(a, b)) if paired else (0.0, 0.0)
     floor = least_p(len(x), len(y), paired=paired)
@@ -304,16 +276,3 @@ def _phi(x: Sample, y: Sample) -> float:
         return float(product) / size
     several = max(len(x.kinds), len(y.kinds)) > 1
     return 0.0 if several else max(float(product) - n / 2.0, 0.0) / size
-
-
-def least_p(n_a: int, n_b: int, *, paired: bool) -> float:
-    """The smallest p of a two-sided test that assumes nothing of the distribution.
-
-    2 / 2ⁿ for n pairs; 2 over the number of relabellings of independent trials.
-
-    >>> least_p(3, 3, paired=True), least_p(3, 3, paired=False)
-    (0.25, 0.1)
-    """
-    if paired:
-        return 2.0 ** (1 - n_a)
-    return 2.0 / comb(n_a + n_b, n_a) if n_a + n_b <= COUNTED else 0.0

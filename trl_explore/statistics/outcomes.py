@@ -101,6 +101,11 @@ class Outcomes:
         return np.where(self.status == "diverged", self.cap, self.iterations)
 
     @property
+    def first_index(self) -> dict[int, int]:
+        """Trial -> the first index in the arrays that has it."""
+        return {int(t): i for i, t in reversed(list(enumerate(self.trial)))}
+
+    @property
     def judged_by(self) -> str:
         """The scores that decide convergence: ``training``, or a description of the evaluations."""
         rule = self.measure or self.config.get("stop_on", "training")
@@ -117,6 +122,14 @@ class Outcomes:
         if self.judged_by != "training" or not isinstance(per_update, int):
             return False
         return self.cap * per_update < self.window
+
+
+def lower_median(times: NDArray[np.int64], event: NDArray[np.bool_]) -> float:
+    """The median of the times [n] to an event; ``inf`` where it was not seen.
+
+    Of an even number of trials, the smaller of the two middle values.
+    """
+    return float(np.sort(np.where(event, times, np.inf))[(len(event) - 1) // 2])
 
 
 def judged(outcomes: Outcomes, measure: str) -> Outcomes:

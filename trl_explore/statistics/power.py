@@ -12,19 +12,21 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
+from scipy import special
 
 from trl_explore.statistics.estimates import LEVEL, Estimate, check_level
 
 POWER = 0.80
+"""The probability of detecting the difference."""
+Z_POWER = float(special.ndtri(POWER))
+# The largest number of trials whose relabellings are counted.
+COUNTED = 1000
 MOST_TRIALS = 100_000
 """More trials of each configuration than that are "more than can be run", ``inf``."""
 
 
-def detectable_difference(
-    sd: float, n: ArrayLike, *, power: float = POWER, level: float = LEVEL
-) -> NDArray[np.float64]:
-    """Smallest mean difference detected with the given power: δ = (z_{1-α/2} + z_power) sd / √n.
+def detectable_difference(sd: float, n: ArrayLike, *, level: float = LEVEL) -> NDArray[np.float64]:
+    """Smallest mean difference detected with 80 % power: δ = (z_{1-α/2} + z_power) sd / √n.
 
     δ has the unit of ``sd`` and the shape of ``n``, the number of pairs.
 
@@ -39,12 +41,10 @@ def detectable_difference(
     n_pairs = np.asarray(n, dtype=np.float64)
     if (n_pairs < 1).any() or not sd >= 0:
         raise ValueError(f"n={n}, sd={sd}: n ≥ 1 and sd ≥ 0 are needed")
-    return np.asarray(sum(_z(power, level)) * sd / np.sqrt(n_pairs))
+    return np.asarray((_z(level) + Z_POWER) * sd / np.sqrt(n_pairs))
 
 
-def trials_for_difference(
-    sd: float, difference: float, *, power: float = POWER, level: float = LEVEL
-) -> float | None:
+def trials_for_difference(sd: float, difference: float, *, level: float = LEVEL) -> float | None:
     """Pairs needed to detect a difference of means: n = ⌈((z_{1-α/2} + z_power) sd / δ)²⌉.
 
     At least :func:`fewest_pairs`, because with fewer no difference is significant. ``inf`` if more
@@ -55,15 +55,13 @@ def trials_for_difference(
     >>> trials_for_difference(100.0, 50.0)
     32
     """
-    z = sum(_z(power, level))
+    z = _z(level) + Z_POWER
     if not (math.isfinite(sd) and math.isfinite(difference)) or difference == 0:
         return None
     return max(_whole((z * sd / difference) ** 2), fewest_pairs(level))
 
 
-def trials_to_settle(
-    estimate: Estimate, bound: float, n: int, *, power: float = POWER
-) -> float | None:
+def trials_to_settle(estimate: Estimate, bound: float, n: int) -> float | None:
     """Trials after which the interval of an estimate from n trials would exclude ``bound``.
 
     n' = ⌈n ((z_{1-α/2} + z_power) / z_{1-α/2} · h / |θ̂ - bound|)²⌉, with h the distance from θ̂ to
@@ -75,12 +73,12 @@ def trials_to_settle(
     >>> trials_to_settle(Estimate(50.0, -10.0, 110.0), 0.0, 20)
     59
     """
-    z, z_power = _z(power, estimate.level)
+    z = _z(estimate.level)
     gap = estimate.value - bound
     h = estimate.value - estimate.low if gap > 0 else estimate.high - estimate.value
     if not math.isfinite(h) or abs(gap) <= h / z:
         return None
-    return _whole(n * ((z + z_power) / z * h / gap) ** 2)
+    return _whole(n * ((z + Z_POWER) / z * h / gap) ** 2)
 
 
 def trials_text(n: float | None, unknown: str = "") -> str:
@@ -96,6 +94,19 @@ def trials_text(n: float | None, unknown: str = "") -> str:
     return f"{float(f'{n:.2g}'):,.0f}"
 
 
+def least_p(n_a: int, n_b: int, *, paired: bool) -> float:
+    """The smallest p of a two-sided test that assumes nothing of the distribution.
+
+    2 / 2ⁿ for n pairs; 2 over the number of relabellings of independent trials.
+
+    >>> least_p(3, 3, paired=True), least_p(3, 3, paired=False)
+    (0.25, 0.1)
+    """
+    if paired:
+        return 2.0 ** (1 - n_a)
+    return 2.0 / math.comb(n_a + n_b, n_a) if n_a + n_b <= COUNTED else 0.0
+
+
 def fewest_pairs(level: float = LEVEL) -> int:
     """Fewest pairs for a significant difference: 2 / 2^n ≤ α, n = ⌈1 + log₂ 1/α⌉.
 
@@ -109,9 +120,7 @@ def fewest_pairs(level: float = LEVEL) -> int:
     return math.ceil(1.0 - math.log2(1.0 - level) - 1e-9)
 
 
-def trials_for_rate_bound(
-    rate: float, bound: float, *, power: float = POWER, level: float = LEVEL
-) -> float | None:
+def trials_for_rate_bound(rate: float, bound: float, *, level: float = LEVEL) -> float | None:
     """Trials after which Wilson's interval around ``rate`` would exclude ``bound``.
 
     n = ⌈(z_{1-α/2} √(p₀(1-p₀)) + z_power √(p(1-p)))² / (p - p₀)²⌉ for p₀ = bound. At p = 0
@@ -129,8 +138,7 @@ def trials_for_rate_bound(
     for p in (rate, bound):
         if not 0.0 <= p <= 1.0:
             raise ValueError(f"rate={p}: a proportion lies in [0, 1]")
-    z_level, z_power = _z(power, level)
-    z_sd = z_level * math.sqrt(bound * (1 - bound)) + z_power * math.sqrt(rate * (1 - rate))
+    z_sd = _z(level) * math.sqrt(bound * (1 - bound)) + Z_POWER * math.sqrt(rate * (1 - rate))
     return None if rate == bound else _whole((z_sd / (rate - bound)) ** 2)
 
 
@@ -139,8 +147,6 @@ def _whole(n: float) -> float:
     return max(2, math.ceil(n - 1e-9)) if n <= MOST_TRIALS else math.inf
 
 
-def _z(power: float, level: float) -> tuple[float, float]:
+def _z(level: float) -> float:
     check_level(level)
-    if not 0.0 < power < 1.0:
-        raise ValueError(f"power={power}: a power lies in (0, 1), for example 0.8")
-    return float(stats.norm.ppf((1 + level) / 2)), float(stats.norm.ppf(power))
+    return float(special.ndtri((1 + level) / 2))

@@ -12,10 +12,10 @@ from scipy import stats
 
 from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import LEVEL, Estimate, check_level, flat, pass_rate
-from trl_explore.statistics.means import mean_interval, time_per_success
+from trl_explore.statistics.means import mean_interval
 from trl_explore.statistics.outcomes import Outcomes, convergence_times
 from trl_explore.statistics.samples import Sample
-from trl_explore.statistics.survival import kaplan_meier, median_time
+from trl_explore.statistics.survival import kaplan_meier, median_time, time_per_success
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 

@@ -1,7 +1,7 @@
 """Right-censored times to convergence.
 
-Kaplan-Meier curve and median of one sample; log-rank test and probability of being faster for two
-samples. Means of times are in ``means``.
+Kaplan-Meier curve and median, and the time per success, of one sample; log-rank test and
+probability of being faster for two samples. Means of times are in ``means``.
 
 A sample is ``durations`` [n], the times to convergence or censoring, positive and in any unit, and
 ``converged`` [n], whether each trial converged.
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from math import hypot, inf, nan
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +23,10 @@ from trl_explore.statistics.estimates import (
     check_level,
     normal_quantile,
     pass_rate,
+    wilson,
 )
+from trl_explore.statistics.means import Moments
+from trl_explore.statistics.samples import Sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +148,38 @@ def logrank_test(t_a: ArrayLike, e_a: ArrayLike, t_b: ArrayLike, e_b: ArrayLike)
     if len(informative) == 0 or not _varies(t[0], t[1], informative):
         return 1.0
     return float(stats.logrank(_censored(t[0], e[0]), _censored(t[1], e[1])).pvalue)
+
+
+def time_per_success(times: Sample, *, level: float = LEVEL) -> Estimate:
+    """ERT: expected time until the first success if failed trials are restarted.
+
+    ERT = Σ_i time_i / #{converged} = m + f q / (1 - q), over all trials
+
+    The interval is MOVER's for the sum of m (Student's t) and f times the odds of failing
+    (Wilson). If no trial converges, the estimate is ``inf``, and m is anything from 0 to f.
+
+    Source: Hansen et al., COCO: performance assessment (2016), §4.
+
+    >>> time_per_success(Sample.of([100, 300], [False, True], least=300, most=300)).value
+    400.0
+    """
+    check_level(level)
+    n, passed = len(times), times.values[times.converged]
+    if n == 0:
+        raise ValueError(f"{times.label}: at least one trial is needed")
+    failed = times.values[~times.converged]
+    k = len(failed)
+    f = float(failed.mean()) if k else times.kinds[0].most if times.kinds else 0.0
+    least, most = (inf if q == 1.0 else q / (1.0 - q) for q in wilson(k, n, normal_quantile(level)))
+    if k == n:
+        return Estimate(inf, f * least if n > 1 else nan, inf, level)
+    m, odds = float(passed.mean()), k / (n - k)
+    value = m + f * odds
+    if n == 1:
+        return Estimate(value, nan, nan, level)
+    half = Moments.of(passed).half(1.0 - level) if len(passed) > 1 else max(m, f - m)
+    low, high = hypot(half, f * (odds - least)), hypot(half, f * (most - odds))
+    return Estimate(value, max(value - low, 0.0), value + high, level)
 
 
 def probability_faster(

@@ -210,8 +210,11 @@ def _mean(
     high: float,
     measure: str = "iterations",
 ) -> list[Rule]:
+    word = measure
+    if measure == "score":
+        word = "learned score" if study.measure == "learned" else "final score"
     return [
-        rules.mean_within(s, low, high, f"mean {measure} of {s.label}")
+        rules.mean_within(s, low, high, f"mean {word} of {s.label}")
         for s in _samples(study, find(of), measure)
     ]
 

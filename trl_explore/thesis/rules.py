@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import groupby
 from math import sqrt
 from typing import Literal
@@ -105,12 +106,13 @@ def some(count: int, n: int, what: str) -> Rule:
 
 def mean_less(a: Sample, b: Sample) -> Rule:
     """mean(a) < mean(b), by the interval of the difference; paired if possible."""
+    difference = cache(lambda: mean_difference(a, b))
 
     def rule(level: float) -> Finding:
         if min(len(a), len(b)) == 0:
             empty = a if len(a) == 0 else b
             return Finding(OPEN, f"{empty.label}: no trial to average")
-        d = mean_difference(a, b, level=level)
+        d = difference().to(level)
         verdict = decided(d.sign() < 0, d.sign() > 0)
         design = f"{d.n:,} pairs" if d.paired else f"{len(a):,} and {len(b):,} trials"
         first, second = (f"({x})" if " = " in x else x for x in (a.label, b.label))
@@ -130,11 +132,12 @@ def mean_ratio(a: Sample, b: Sample, low: float, high: float, what: str) -> Rule
     Decided without a ratio: the interval of mean(a) - high · mean(b) lies below 0, and that of
     mean(a) - low · mean(b) above 0. It fails if one of them lies on the other side.
     """
+    differences = cache(lambda: [mean_difference(a, b.scaled(r)) for r in (low, high) if r > 0])
 
     def rule(level: float) -> Finding:
         if min(len(a), len(b)) == 0:
             return Finding(OPEN, f"{what}: no trial to average")
-        tests = [mean_difference(a, b.scaled(r), level=level) for r in (low, high) if r > 0]
+        tests = [d.to(level) for d in differences()]
         signs = [t.sign() for t in tests]
         wanted = [1] * (low > 0) + [-1]
         verdict = decided(signs == wanted, any(s == -w for s, w in zip(signs, wanted, strict=True)))

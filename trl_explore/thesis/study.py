@@ -235,7 +235,7 @@ class Study:
         if trials is None:
             where = np.arange(len(values))
         else:
-            first = {int(t): i for i, t in reversed(list(enumerate(outcomes.trial)))}
+            first = outcomes.first_index
             where = np.array([first.get(int(t), -1) for t in np.asarray(trials)], dtype=np.intp)
         fits = len(where) == len(values) > 0 and (where >= 0).all() and len(values) <= len(outcomes)
         if not fits or not np.isfinite(values).all():

@@ -62,7 +62,7 @@ class Evaluator:
     score depends on other evaluations, and training draws the same numbers with or without them.
 
     Args:
-        collector: a collector with a separate environment and a strategy that does not explore.
+        collector: a collector with a separate random stream and a strategy that does not explore.
         every: the iterations between evaluations, >= 1, or ``auto``.
         episodes: the episodes of a scheduled evaluation, >= 1.
         most: the largest number of confirmation episodes, >= 20.

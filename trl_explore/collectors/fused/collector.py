@@ -52,6 +52,10 @@ class FusedCollector(EpisodeCollector):
     mixture. With the same seed it gives the same episodes as ``TorchRLCollector``, up to
     floating-point rounding. Arguments and data: see ``EpisodeCollector``.
 
+    Args:
+        stream: the random stream of the episodes; None: that of the environment. The environment
+            itself is never stepped, so that collectors with different streams can share it.
+
     Raises:
         NotCompilableError: if the environment has no kernel, or a wrapper, transform, policy or
             strategy is not supported; the message gives the reason.
@@ -59,8 +63,16 @@ class FusedCollector(EpisodeCollector):
 
     parallel = True
 
-    def __init__(self, env: TransformedEnv, policy: TensorDictSequential, **options: Any) -> None:
+    def __init__(
+        self,
+        env: TransformedEnv,
+        policy: TensorDictSequential,
+        *,
+        stream: Stream | None = None,
+        **options: Any,
+    ) -> None:
         super().__init__(env, policy, **options)
+        self.stream = self.lanes.stream if stream is None else stream
         self.kernel, self.network, self._parameters = compilable(env, policy)
         if self.episodes_per_update > 1 and self.strategy.per_episode:
             name = type(self.strategy).__name__
@@ -131,7 +143,7 @@ class FusedCollector(EpisodeCollector):
         acting = strategy.behaviour_parameters(self._parameters) if explore else self._parameters
         return (
             self.lanes.first_trial,
-            key(self.lanes.seed, self.lanes.stream),
+            key(self.lanes.seed, self.stream),
             key(self.lanes.seed, Stream.ACTION),
             arrays(self.network, acting),
             mixture_array(strategy.checked_mixture(self.trials), self.trials)

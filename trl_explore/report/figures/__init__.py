@@ -19,11 +19,11 @@ from trl_explore.report.figures import (
     survival,
     trials,
 )
-from trl_explore.report.figures.axes import Kind
+from trl_explore.report.figures.axes import FigureKind
 from trl_explore.report.formats import drawn_files
 from trl_explore.report.style import visual_language
 
-KINDS: tuple[Kind, ...] = (
+KINDS: tuple[FigureKind, ...] = (
     maps.passing,
     maps.iterations,
     by_parameter.first_reward,
@@ -68,7 +68,7 @@ class Picture:
 class Drawn(Picture):
     """A figure of a group."""
 
-    kind: Kind
+    kind: FigureKind
 
 
 def draw_all(evidence: GroupEvidence) -> Iterator[Drawn]:

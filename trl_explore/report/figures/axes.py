@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.style import INK, MUTED, WIDTH, Style
+from trl_explore.report.tables import span
 from trl_explore.statistics.estimates import Estimate
 from trl_explore.statistics.outcomes import Outcomes
 
@@ -33,7 +34,7 @@ Shown = tuple[Figure, str]
 
 
 @dataclass(frozen=True)
-class Kind:
+class FigureKind:
     """A kind of figure: its condition, and its drawing with its caption.
 
     Attributes:
@@ -58,9 +59,9 @@ class Kind:
 
 def kind(
     name: str, title: str, applies: Callable[[GroupEvidence], bool], **facts: Any
-) -> Callable[[Callable[[GroupEvidence], Shown]], Kind]:
+) -> Callable[[Callable[[GroupEvidence], Shown]], FigureKind]:
     """Make a drawing function a kind of figure."""
-    return lambda draw: Kind(name, title, applies, draw, **facts)
+    return lambda draw: FigureKind(name, title, applies, draw, **facts)
 
 
 def few(e: GroupEvidence) -> bool:
@@ -90,8 +91,7 @@ def whole_study(e: GroupEvidence) -> bool:
 
 def trials(e: GroupEvidence) -> str:
     """How many trials the configurations have."""
-    counts = {len(c) for c in e.group.configurations}
-    return f"{min(counts):,}" if len(counts) == 1 else f"{min(counts):,} to {max(counts):,}"
+    return span(len(c) for c in e.group.configurations)
 
 
 def each(e: GroupEvidence, text: Callable[[Outcomes], str]) -> str:

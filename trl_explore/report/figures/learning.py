@@ -212,7 +212,7 @@ def _short(value: float) -> str:
 
 
 DIAGNOSTIC_KINDS = tuple(
-    axes.Kind(
+    axes.FigureKind(
         name,
         quantity.title,
         partial(_recorded, name),

@@ -26,20 +26,20 @@ DEPTH = 1e-6
 
 
 @dataclass(frozen=True)
-class Panel:
+class PanelNames:
     """A panel: title and names of its configurations."""
 
     title: str
     names: tuple[str, ...]
 
 
-def panels_of(group: Group) -> list[Panel]:
+def panels_of(group: Group) -> list[PanelNames]:
     """One panel per row of a crossed group; otherwise one untitled panel of all configurations."""
     if group.crossed is None:
-        return [Panel("", tuple(c.name for c in group.configurations))]
+        return [PanelNames("", tuple(c.name for c in group.configurations))]
     cells = sorted(group.crossed.cells.items())
     return [
-        Panel(row, tuple(name for (r, _), name in cells if r == k))
+        PanelNames(row, tuple(name for (r, _), name in cells if r == k))
         for k, row in enumerate(group.crossed.rows)
     ]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import axes
-from trl_explore.report.figures.panels import BANDS_UP_TO, Panel, draw_panels, panels_of
+from trl_explore.report.figures.panels import BANDS_UP_TO, PanelNames, draw_panels, panels_of
 from trl_explore.report.style import INK, MUTED, Style
 from trl_explore.statistics.outcomes import convergence_times
 from trl_explore.statistics.survival import SurvivalCurve, kaplan_meier, number_at_risk
@@ -120,7 +120,7 @@ def _rows(e: GroupEvidence, names: Sequence[str], unit: str) -> list[Row]:
 def _draw_panels(e: GroupEvidence) -> Figure:
     end = float(max(int(c.durations.max()) for c in e.group.configurations))
 
-    def draw(ax: Axes, panel: Panel) -> None:
+    def draw(ax: Axes, panel: PanelNames) -> None:
         rows = _rows(e, panel.names, "iterations")
         plot_survival(ax, rows, time="", title=panel.title, horizon=end)
 

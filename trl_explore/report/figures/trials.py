@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import axes
 from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style
-from trl_explore.statistics.outcomes import Outcomes
+from trl_explore.report.tables import span
+from trl_explore.statistics.outcomes import Outcomes, lower_median
 
 RASTER_FROM = 400
 """From this number of points per row, points are drawn as an image to keep the SVG small."""
@@ -232,9 +233,8 @@ def iterations(e: GroupEvidence) -> axes.Shown:
     """The iterations to convergence, and the cap."""
 
     def median(c: Outcomes) -> str:
-        # The lower median: of the two middle values, the smaller one.
-        middle = np.sort(np.where(c.converged, c.durations, np.inf))[(len(c) - 1) // 2]
-        return axes.number(float(middle)) if np.isfinite(middle) else "not reached"
+        middle = lower_median(c.durations, c.converged)
+        return axes.number(middle) if np.isfinite(middle) else "not reached"
 
     line = e.group.cap, f"cap: {e.group.cap:,} iterations"
     return _draw(e, lambda c: (c, c.durations), "iterations to convergence", line), (
@@ -253,14 +253,13 @@ def iterations(e: GroupEvidence) -> axes.Shown:
 def seconds(e: GroupEvidence) -> axes.Shown:
     """The seconds of trials that were timed alone."""
     timed = {c.name: e.group.timed(c)[1] for c in e.group.configurations}
-    counts = {len(s) for s in timed.values()} - {0}
-    some = f"{min(counts)}" if len(counts) == 1 else f"{min(counts)} to {max(counts)}"
+    counts = span({len(s) for s in timed.values()} - {0})
 
     def mean(c: Outcomes) -> str:
         return f"{timed[c.name].mean():.3g} s" if len(timed[c.name]) else "not timed"
 
     return _draw(e, e.group.timed, "seconds of a trial run alone"), (
-        f"Each trial was run alone, in random order, after a warm-up; {some} trials per"
+        f"Each trial was run alone, in random order, after a warm-up; {counts} trials per"
         f" configuration. Means{axes.by(e)}: {axes.each(e, mean)}. Seconds depend on program and"
         " machine: an iteration has a fixed cost in addition to the cost of its frames, which slows"
         " down trials with many short episodes. The figure of frames does not depend on the"

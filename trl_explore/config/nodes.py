@@ -1,0 +1,96 @@
+"""OmegaConf's nodes, copied, read and written with less work, and with the same result.
+
+A job is copied several times on its way through Hydra, and most of the time of a copy is spent on
+the notes that each node keeps about itself. An interpolation is parsed again at every access. Most
+lines of a job's YAML files are those of the job before it.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from copy import deepcopy
+from functools import cache, lru_cache
+from typing import Any, cast
+
+import yaml
+from omegaconf import AnyNode, DictConfig, OmegaConf, base
+from omegaconf._utils import get_omega_conf_dumper
+from omegaconf.base import ContainerMetadata, Metadata
+
+PARSED = 256
+"""Most interpolations whose parse tree is kept."""
+WRITTEN = 1000
+"""Most values whose YAML text is kept."""
+DIVIDED = ("hydra", "job", "runtime")
+"""The mappings of which some values differ between the jobs of a sweep, and most do not."""
+_texts: dict[tuple[tuple[str, ...], str, str], str] = {}
+"""The YAML text of a value, by the keys above it, its own key and its ``repr``."""
+
+
+@cache
+def save_work() -> None:
+    """Change OmegaConf in this process."""
+    base.parse = lru_cache(PARSED)(base.parse)  # pyright: ignore[reportPrivateImportUsage]
+    for kind in (Metadata, ContainerMetadata):
+        kind.__deepcopy__ = _copied  # pyright: ignore[reportAttributeAccessIssue]
+    DictConfig.__deepcopy__ = _copied_mapping
+    AnyNode.__deepcopy__ = _copied_value
+
+
+def _copied(notes: Metadata, memo: dict[int, Any]) -> Metadata:
+    """A deep copy of the notes of a node: all but their two dictionaries cannot change."""
+    copy = object.__new__(type(notes))
+    vars(copy).update(vars(notes))
+    copy.flags = None if notes.flags is None else dict(notes.flags)
+    kept = notes.resolver_cache
+    copy.resolver_cache = deepcopy(kept, memo) if kept else defaultdict(dict)
+    return copy
+
+
+def _copied_mapping(self: DictConfig, memo: dict[int, Any]) -> DictConfig:
+    """A deep copy of a mapping; as in OmegaConf, it keeps the parent and does not copy it."""
+    copy, old = object.__new__(type(self)), vars(self)
+    content = old["_content"]
+    if isinstance(content, dict):
+        content = {key: deepcopy(child, memo) for key, child in content.items()}
+        for child in content.values():
+            vars(child)["_parent"] = copy
+    notes = deepcopy(old["_metadata"], memo)
+    vars(copy).update(old, _metadata=notes, _content=content, _flags_cache=None)
+    return copy
+
+
+def _copied_value(self: AnyNode, memo: dict[int, Any]) -> AnyNode:
+    """A copy of a leaf, with the same value."""
+    copy, old = object.__new__(type(self)), vars(self)
+    vars(copy).update(old, _metadata=deepcopy(old["_metadata"], memo), _flags_cache=None)
+    return copy
+
+
+def to_yaml(config: DictConfig) -> str:
+    """The text that ``OmegaConf.to_yaml`` gives."""
+    plain = OmegaConf.to_container(config, enum_to_str=True)
+    return _block(cast(dict[str, Any], plain), ()) or OmegaConf.to_yaml(config)
+
+
+def _block(plain: dict[str, Any], above: tuple[str, ...]) -> str:
+    text = ""
+    for name, value in plain.items():
+        if name in DIVIDED and isinstance(value, dict) and value:
+            inner = cast(dict[str, Any], value)
+            text += f"{'  ' * len(above)}{name}:\n{_block(inner, (*above, name))}"
+            continue
+        key = above, name, repr(value)
+        if key not in _texts:
+            if len(_texts) >= WRITTEN:
+                _texts.clear()
+            node = {name: value}
+            for outer in reversed(above):
+                node = {outer: node}
+            lines = yaml.dump(
+                node, default_flow_style=False, allow_unicode=True, sort_keys=False,
+                Dumper=get_omega_conf_dumper(),
+            ).splitlines(keepends=True)  # fmt: skip
+            _texts[key] = "".join(lines[len(above) :])
+        text += _texts[key]
+    return text
