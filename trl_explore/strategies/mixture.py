@@ -77,6 +77,10 @@ class MixtureFamily(BaseStrategy):
         """
         mixture = self.mixture()
         point = type(mixture)(*numbers(mixture))
+        if all([type(value) is float for value in point]):  # noqa: C419 - faster
+            one, two, three = point[:3]
+            if min(one, two, three) >= 0 and abs(one + two + three - 1.0) <= 1e-6:
+                return point
         for name, value in point._asdict().items():
             if not isinstance(value, float) and np.shape(value) not in ((), (trials,)):
                 raise ValueError(
