@@ -15,7 +15,7 @@ from tests.jobs.written import CONFIG, EPISODES_CSV, TRIALS_CSV, WEIGHTS, record
 from trl_explore import jobs as results
 from trl_explore.jobs import files, writing
 from trl_explore.jobs.files import ResultsError
-from trl_explore.training.record import Trials
+from trl_explore.training.trials import Trials
 
 FILES = ["episodes.csv", "run.json", "scalars", "trials.csv", "weights.safetensors"]
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from trl_explore import jobs as results
-from trl_explore.training.record import Trials
+from trl_explore.training.trials import Trials
 
 CONFIG = {
     "seed": 5,

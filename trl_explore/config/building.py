@@ -107,12 +107,12 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from tensordict.nn import TensorDictSequential
 
     from trl_explore.collectors import FusedCollector, auto_collector
-    from trl_explore.envs.probing import remarks
+    from trl_explore.envs.checking import remarks
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
-    from trl_explore.training.record import Trials
     from trl_explore.training.snapshots import Snapshots, Visits
     from trl_explore.training.trainer import Trainer
+    from trl_explore.training.trials import Trials
 
     size = rows.stop - rows.start
     trials = calling(
@@ -190,7 +190,7 @@ def _environment(config: DictConfig) -> Callable[..., Any]:
 
 def _check_transforms(config: DictConfig, make: Callable[..., Any]) -> None:
     """Reject transforms that mix trials, or fail; each error names the transform."""
-    from trl_explore.envs.probing import check_transforms
+    from trl_explore.envs.checking import check_transforms
 
     def build() -> list[Any]:
         return [instantiate(node, _convert_="all") for node in nodes]
