@@ -36,9 +36,9 @@ from trl_explore.strategies import (
 )
 from trl_explore.training.evaluation import Evaluator
 from trl_explore.training.optimizers import LaneAdam
-from trl_explore.training.record import Trials
 from trl_explore.training.shards import Shards, partition
 from trl_explore.training.trainer import Trainer
+from trl_explore.training.trials import Trials
 
 STRATEGIES: dict[str, Callable[[], Strategy]] = {
     "random": Random,

@@ -56,8 +56,8 @@ def build_trainer(
     from trl_explore.policies import LinearPolicy
     from trl_explore.policies.actor import SoftmaxActor
     from trl_explore.training.optimizers import LaneAdam
-    from trl_explore.training.record import Trials
     from trl_explore.training.trainer import Trainer
+    from trl_explore.training.trials import Trials
 
     torch.set_num_threads(1)
     env = make_env(id, trials, max_steps, seed=seed, first_trial=first_trial)

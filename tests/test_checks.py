@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trl_explore.checks import check_integer, check_number, first_line, interval, settle
+from trl_explore.checks import check_integer, check_number, first_line, interval, withdraw
 
 
 @pytest.mark.parametrize("value", [0, 1, 0.5, np.float32(0.25), np.int64(1), Fraction(1, 3)])
@@ -92,7 +92,7 @@ def test_a_declaration_does_not_outlive_an_overridden_method():
         fast = True
 
         def __init_subclass__(cls):
-            settle(cls, "fast", False, ["run", "walk"])
+            withdraw(cls, "fast", False, ["run", "walk"])
 
         def run(self): ...
 

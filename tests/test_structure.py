@@ -95,6 +95,8 @@ def read_imports(tree: ast.AST, deferred: bool = False) -> Iterator[Import]:
             assert node.level == 0, f"line {node.lineno}: a relative import"
             for alias in node.names:
                 full = f"{node.module}.{alias.name}"
+                if full == f"{NAME}.__version__":
+                    continue  # the package itself is imported before each of its modules
                 name = full if full in MODULES else str(node.module)
                 yield Import(name, node.lineno, deferred)
         elif isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):

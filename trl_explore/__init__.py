@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     )
     from trl_explore.training.trainer import Trainer
 
+__version__ = "0.1.0"
+
 __all__ = [
     "Argmax",
     "DecayingEpsilonGreedy",

@@ -85,8 +85,8 @@ def interval(low: float, high: float, *, low_open: bool = False) -> str:
     return f"in {'(' if low_open else '['}{low:g}, {high:g}]"
 
 
-def settle(cls: type, attribute: str, value: bool, methods: Collection[str]) -> None:
-    """Set a declared attribute on a class that overrides a method without redeclaring it.
+def withdraw(cls: type, attribute: str, value: bool, methods: Collection[str]) -> None:
+    """Withdraw a declaration from a class that overrides a method without declaring it again.
 
     Class attributes declare what a class can do. An inherited declaration may no longer hold once
     a subclass overrides one of the methods that it describes. Call this in ``__init_subclass__``:
@@ -96,7 +96,7 @@ def settle(cls: type, attribute: str, value: bool, methods: Collection[str]) -> 
         >>> class Base:
         ...     fast = True
         ...     def __init_subclass__(cls):
-        ...         settle(cls, "fast", False, ["run"])
+        ...         withdraw(cls, "fast", False, ["run"])
         >>> class Same(Base): ...
         >>> class Changed(Base):
         ...     def run(self): ...
@@ -117,8 +117,8 @@ def settle(cls: type, attribute: str, value: bool, methods: Collection[str]) -> 
 def holds(instance: object, attribute: str, methods: Collection[str]) -> bool:
     """Whether an object's methods are those that the declaration of its class covers.
 
-    ``settle`` sees what a class overrides when it is made, and not what is put into the object, or
-    into its class later.
+    ``withdraw`` sees what a class overrides when it is made, and not what is put into the object,
+    or into its class later.
 
     Example:
         >>> class Base:

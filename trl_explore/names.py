@@ -11,9 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-VERSION = "0.1.0"
-"""The version of this package, which a checkout that is not installed has too."""
-
 
 @dataclass(frozen=True)
 class StrategyName:

@@ -23,7 +23,7 @@ def test_every_part_takes_time_and_all_of_them_the_whole(phases):
 
 
 def test_a_part_of_another_name_is_noticed(phases, monkeypatch):
-    monkeypatch.delattr("trl_explore.training.record.Trials.record")
+    monkeypatch.delattr("trl_explore.training.trials.Trials.record")
     with pytest.raises(AttributeError, match="record"):
         phases.phases(trials=1, max_iterations=1)
 

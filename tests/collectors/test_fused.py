@@ -13,10 +13,10 @@ from torchrl.data import OneHot
 from torchrl.envs import RewardScaling
 
 from trl_explore.collectors import FusedCollector, NotCompilableError, auto_collector
+from trl_explore.collectors.compiled_policies import Network
 from trl_explore.collectors.fused import collector as module
 from trl_explore.collectors.fused.loop import compile_loop
 from trl_explore.collectors.fused.memory import LANES, Scratch, scratch
-from trl_explore.collectors.networks import Network
 from trl_explore.envs import make_env
 from trl_explore.envs.kernels import kernel as kernel_base
 from trl_explore.envs.kernels import kernel_of

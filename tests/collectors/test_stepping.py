@@ -13,8 +13,8 @@ from torchrl.envs import RewardScaling, Transform
 from torchrl.envs.utils import ExplorationType
 
 from tests.collectors.test_agreement import assert_same
-from tests.collectors.test_networks import POLICIES, move, ring_env  # noqa: F401
-from tests.envs.test_probing import SUPPORTED
+from tests.collectors.test_compiled_policies import POLICIES, move, ring_env  # noqa: F401
+from tests.envs.test_checking import SUPPORTED
 from trl_explore.collectors import (
     NotCompilableError,
     SteppingCollector,

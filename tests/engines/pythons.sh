@@ -7,8 +7,8 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 folder=$(realpath -m "${1:-build/pythons}")
-tests=(tests/test_golden.py tests/test_core.py tests/strategies/test_strategies.py
-  tests/numerics/test_twins.py tests/jobs/test_results.py tests/jobs/test_resume.py
+tests=(tests/test_golden.py tests/test_core.py tests/strategies/test_every_*.py
+  tests/numerics/test_twins.py tests/jobs/test_writing.py tests/jobs/test_reading.py tests/jobs/test_resume.py
   tests/commands/test_verify.py tests/report/test_render.py)
 job=(experiment=debug trials=20 max_iterations=200 score_window=100 score_threshold=400 threads=2)
 

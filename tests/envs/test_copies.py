@@ -141,7 +141,7 @@ RIGHT = {
 def test_values_that_lose_nothing_are_taken(name, odd, monkeypatch):
     changes, signal, expected = RIGHT[name]
     monkeypatch.setattr(Odd, "step_answer", staticmethod(lambda: answer(**changes)))
-    assert getattr(play(odd).signals, signal)[0].tolist() == expected
+    assert getattr(play(odd).outputs, signal)[0].tolist() == expected
 
 
 @pytest.mark.parametrize(

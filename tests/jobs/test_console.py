@@ -14,7 +14,7 @@ import pytest
 from trl_explore.jobs import console
 from trl_explore.jobs.console import Progress, duration, table, warnings
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.training.record import Trials
+from trl_explore.training.trials import Trials
 
 
 class Terminal(io.StringIO):

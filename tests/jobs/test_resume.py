@@ -277,7 +277,7 @@ def test_the_record_in_parts_is_the_record(build):
 
 
 def test_scores_that_no_small_type_holds_come_back_exactly():
-    from trl_explore.training.record import Trials
+    from trl_explore.training.trials import Trials
 
     scores = [np.array([0.1, 1e300]), np.array([-0.0, np.nan])]
     one, two = (Trials(2, max_iterations=9, score_threshold=1e308) for _ in range(2))

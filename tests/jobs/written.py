@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from trl_explore import jobs as results
-from trl_explore.training.record import Trials
+from trl_explore.training.trials import Trials
 
 CONFIG = {
     "seed": 5,
@@ -20,6 +20,25 @@ CONFIG = {
     "env": {"id": "CartPole-v1"},
 }
 WEIGHTS = {"weight": torch.arange(24.0).reshape(3, 2, 4).transpose(1, 2)}  # not contiguous
+
+TRIALS_CSV = """\
+trial,seed,iterations,converged,score,frames,seconds,status,passed,iterations_to_pass,frames_to_pass
+10,5,3,False,2.5,33,1.500000,diverged,False,3,33
+11,5,2,True,5.6,41,1.000000,converged,True,2,41
+12,5,4,False,4.0,126,2.000000,capped,False,4,126
+"""
+EPISODES_CSV = """\
+trial,iteration,score,frames
+10,1,1.0,10
+11,1,2.0,20
+12,1,3.0,30
+10,2,2.0,11
+11,2,9.2,21
+12,2,4.0,31
+10,3,3.0,12
+12,3,5.0,32
+12,4,3.0,33
+"""
 
 
 def record() -> Trials:

@@ -7,7 +7,7 @@ from scipy import stats
 from trl_explore.jobs.files import ResultsError
 from trl_explore.logs.log import Curve, clean
 from trl_explore.logs.measures import profile, seeds_text, tasks
-from trl_explore.logs.runs import Run
+from trl_explore.logs.readers import Run
 from trl_explore.statistics.comparisons import compare_pairs
 from trl_explore.statistics.survival import kaplan_meier
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from trl_explore.jobs.files import ResultsError
-from trl_explore.logs.runs import READERS, read_runs
+from trl_explore.logs.readers import READERS, read_runs
 
 
 def described(runs):

@@ -12,7 +12,7 @@ from PIL import Image, ImageColor
 
 from trl_explore.commands import watch
 from trl_explore.config.composing import RecordedJob, recompose_all
-from trl_explore.show.film import HOLD, MARK, Panel, compose, pictures
+from trl_explore.show.film import HOLD, MARK, FilmPanel, compose, pictures
 from trl_explore.show.playing import play
 
 SMALL = ["trials=3", "first_trial=4", "max_iterations=8", "score_window=2", "keep_weights=[0,3]",
@@ -59,7 +59,9 @@ def test_without_the_strategy_it_is_an_episode_of_an_evaluation(jobs, iteration,
 
 
 def test_a_picture_shows_score_marks_and_end(jobs):
-    panels = [Panel(name, "when", play(job, 4, 3)) for name, job in zip("ab", jobs, strict=True)]
+    panels = [
+        FilmPanel(name, "when", play(job, 4, 3)) for name, job in zip("ab", jobs, strict=True)
+    ]
     shown = [pictures(panel.episode) for panel in panels]
     ends = [len(panel.episode.action) for panel in panels]
     assert [len(own) for own in shown] == [n + 1 for n in ends]

@@ -196,7 +196,7 @@ print(*sorted(name for name in sys.modules if name.startswith("trl_explore.")))
     done = subprocess.run(
         [sys.executable, "-c", program, path], capture_output=True, text=True, check=True
     )
-    own = "classic discrete frames mixture parameters schedules strategy workers"
+    own = "classic discrete frames mixture parameters schedules strategy worker_seeds"
     assert done.stdout.split() == [
         "trl_explore.checks", "trl_explore.strategies",
         *(f"trl_explore.strategies.{name}" for name in own.split()),

@@ -1,15 +1,13 @@
+"""μ of mixtures of argmax, softmax and uniform: numbers worked out by hand, and limits."""
+
 import math
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 
-from trl_explore.collectors import FusedCollector
-from trl_explore.envs import make_env
-from trl_explore.policies import LinearPolicy
+from tests.strategies.mixtures import NEVER, PREFERENCES, close
 from trl_explore.strategies import (
     Argmax,
     DecayingEpsilonGreedy,
@@ -18,25 +16,13 @@ from trl_explore.strategies import (
     FullMixture,
     MaxBoltzmann,
     Mixture,
-    MixtureStrategy,
     Random,
     Softmax,
     mixture_probs,
 )
-from trl_explore.strategies.schedules import Constant, Exponential, Linear, Piecewise
-
-NEVER = -torch.inf
-PREFERENCES = torch.tensor([0.0, 4.0, -1.0, 4.0], dtype=torch.float64)
 
 finite_logits = st.lists(st.floats(-50, 50), min_size=1, max_size=6)
 unit = st.floats(0, 1)
-
-
-def close(probs, expected, **tolerance):
-    torch.testing.assert_close(probs, torch.tensor(expected, dtype=probs.dtype), **tolerance)
-
-
-# Numbers worked out by hand
 
 
 def test_argmax_shares_ties():
@@ -114,49 +100,6 @@ def test_full_mixture_divides_by_the_sum_of_the_weights():
     assert FullMixture(0.75, 0, 0.25).mixture() == EpsilonGreedy(0.25).mixture()
 
 
-def test_weights_follow_schedules_and_sum_to_one_in_every_iteration():
-    strategy = FullMixture(
-        Linear(0.0, 1.0, 10), Exponential(2.0, 0.5), Piecewise([(0, 1.0), (3, 0.0)]), [1.0, 2.0]
-    )
-    shares = []
-    for _ in range(30):
-        greedy, softmax, uniform, _ = strategy.mixture()
-        shares.append((greedy, softmax, uniform))
-        strategy.step()
-    np.testing.assert_allclose(np.sum(shares, axis=1), 1, rtol=1e-15)
-    np.testing.assert_allclose(shares[0], [0, 2 / 3, 1 / 3])
-    np.testing.assert_allclose(shares[3], np.array([0.3, 0.25, 0]) / 0.55)
-
-
-def test_weights_per_trial():
-    strategy = FullMixture(greedy=[1.0, 0.0], softmax=0.0, uniform=[1.0, 4.0])
-    probs = strategy.probs(torch.tensor([[0.0, 1.0]] * 2), torch.tensor([1, 0]))
-    close(probs, [[0.5, 0.5], [0.25, 0.75]])
-    with pytest.raises(ValueError, match=r"weights.*\[2, 3\]"):
-        FullMixture(greedy=[1.0, 0.0], softmax=0.0, uniform=[1.0, 4.0, 1.0])
-
-
-@pytest.mark.parametrize("weights", [(0, 0, 0), ([1.0, 0.0], 0, 0)])
-def test_weights_that_are_all_zero(weights):
-    with pytest.raises(ValueError, match=r"greedy \+ softmax \+ uniform.*positive"):
-        FullMixture(*weights)
-
-
-def test_weights_that_become_zero():
-    strategy = FullMixture(greedy=0.0, softmax=Linear(1.0, 0.0, 2), uniform=0.0)
-    strategy.step()
-    assert strategy.mixture().softmax == 1
-    with pytest.raises(ValueError, match=r"0\.0.*iteration 2"):
-        strategy.step()
-
-
-@pytest.mark.parametrize("name", ["greedy", "softmax", "uniform"])
-def test_weights_out_of_range(name):
-    for value in (-0.1, math.nan, Linear(1.0, -0.1, 5)):
-        with pytest.raises(ValueError, match=f"^{name}.*>= 0"):
-            FullMixture(**{name: value})
-
-
 def test_which_mixtures_are_differentiable_in_the_logits():
     smooth = [Softmax(2.0), Random(), EpsilonSoftmax(0.3), FullMixture(greedy=0.0)]
     rough = [Argmax(), EpsilonGreedy(0.3), MaxBoltzmann(0.3), FullMixture()]
@@ -191,9 +134,6 @@ def test_mixture_is_a_distribution(values, a, b, temperature):
     shifted = mixture_probs(logits + 1024, mixture)  # preferences have no zero
     if logits.unique().numel() == (logits + 1024).unique().numel():
         torch.testing.assert_close(shifted, probs, rtol=1e-6, atol=1e-6)
-
-
-# Limits
 
 
 def test_epsilon_at_its_limits():
@@ -235,183 +175,6 @@ def test_precision_is_that_of_the_logits(strategy):
     assert (double.dtype, single.dtype) == (torch.float64, torch.float32)
     assert abs(double.sum().item() - 1) < 1e-15
     torch.testing.assert_close(single.double(), double, rtol=1e-6, atol=1e-7)
-
-
-# Parameters that change with the iteration
-
-
-def uniform_share(strategy, iterations):
-    """The weight of uniform in each iteration, read off the action of least preference."""
-    shares = []
-    for _ in range(iterations):
-        shares.append(4 * strategy.probs(PREFERENCES)[0].item())
-        strategy.step()
-    return shares
-
-
-@pytest.mark.parametrize("decay", [0.99, 0.9, 0.5])
-def test_decay_is_gamma_to_the_i_from_iteration_zero(decay):
-    shares = uniform_share(DecayingEpsilonGreedy(decay), 6)
-    expected = [1, decay, decay**2, decay**3, decay**4, decay**5]
-    np.testing.assert_allclose(shares, expected, rtol=1e-12)
-
-
-def test_decay_is_one_percent_after_458_iterations():
-    strategy = DecayingEpsilonGreedy()  # 0.99^458 = 0.0100212
-    shares = uniform_share(strategy, 460)
-    assert shares[458] == pytest.approx(0.0100212, rel=1e-5)
-    assert shares[459] < 0.01 < shares[458]
-
-
-def test_decay_does_not_count_frames():
-    strategy = DecayingEpsilonGreedy(0.5)
-    for _ in range(10):
-        strategy.probs(torch.zeros(100, 2))
-    assert uniform_share(strategy, 2) == [1, 0.5]
-
-
-def test_decay_at_its_ends():
-    assert uniform_share(DecayingEpsilonGreedy(1), 3) == [1, 1, 1]
-    assert uniform_share(DecayingEpsilonGreedy(0), 3) == [1, 0, 0]
-    last = DecayingEpsilonGreedy(0.99)
-    last.iteration.fill_(10**6 - 1)
-    last.step()
-    assert last.probs(PREFERENCES).tolist() == [0, 0.5, 0, 0.5]
-
-
-def test_any_schedule_serves():
-    strategy = EpsilonGreedy(Linear(1.0, 0.0, iterations=4))
-    np.testing.assert_allclose(uniform_share(strategy, 6), [1, 0.75, 0.5, 0.25, 0, 0], atol=1e-15)
-    strategy = Softmax(Exponential(2.0, 0.5))
-    logits = torch.tensor([0.0, math.log(3)], dtype=torch.float64)
-    odds = []
-    for _ in range(3):
-        probs = strategy.probs(logits)
-        odds.append((probs[1] / probs[0]).item())
-        strategy.step()
-    np.testing.assert_allclose(odds, [math.sqrt(3), 3, 9])
-
-
-# One value per trial
-
-
-def test_epsilon_per_trial():
-    strategy = EpsilonGreedy([0.0, 0.2, 1.0])
-    trial = torch.tensor([2, 1, 0, 1])
-    expected = torch.stack(
-        [EpsilonGreedy(epsilon).probs(PREFERENCES) for epsilon in (1.0, 0.2, 0.0, 0.2)]
-    )
-    torch.testing.assert_close(strategy.probs(PREFERENCES.expand(4, 4), trial), expected)
-    stacked = strategy.probs(PREFERENCES.expand(2, 2, 4), trial.reshape(2, 2))
-    torch.testing.assert_close(stacked, expected.reshape(2, 2, 4))
-
-
-@pytest.mark.parametrize("values", [[0.5, 1.0, 2.0], (0.5, 1, 2), np.array([0.5, 1.0, 2.0])])
-def test_temperature_per_trial(values):
-    logits = torch.tensor([0.0, math.log(3)]).expand(3, 2)
-    probs = Softmax(values).probs(logits, torch.tensor([1, 0, 2]))
-    root = math.sqrt(3)
-    close(probs, [[0.25, 0.75], [0.1, 0.9], [1 / (1 + root), root / (1 + root)]])
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_extreme_temperatures_per_trial(dtype):
-    logits = torch.tensor([NEVER, 1.0, 2.0, 2.0], dtype=dtype).expand(3, 4)
-    probs = Softmax([1e-300, 1e-30, 1e300]).probs(logits, torch.tensor([0, 1, 2]))
-    close(probs, [[0, 0, 0.5, 0.5], [0, 0, 0.5, 0.5], [0, 1 / 3, 1 / 3, 1 / 3]])
-
-
-def test_temperature_per_trial_as_a_schedule():
-    logits = torch.tensor([0.0, math.log(3)]).expand(2, 2)
-    probs = Softmax(Constant([0.5, 1.0])).probs(logits, torch.tensor([1, 0]))
-    close(probs, [[0.25, 0.75], [0.1, 0.9]])
-
-
-def test_values_per_trial_need_the_trial():
-    with pytest.raises(ValueError, match="'trial'"):
-        EpsilonGreedy([0.1, 0.2]).probs(PREFERENCES)
-
-
-def test_values_per_trial_have_to_be_one_for_each():
-    strategy = EpsilonGreedy([0.1, 0.2])
-    strategy.bind(TensorDictModuleBase(), 2)
-    for trials in (1, 3):
-        with pytest.raises(ValueError, match=rf"^epsilon has 2 values.*{trials} trials"):
-            strategy.bind(TensorDictModuleBase(), trials)
-    EpsilonGreedy(0.1).bind(TensorDictModuleBase(), 7)
-    with pytest.raises(ValueError, match=r"^temperature has 1 values.*2 trials"):
-        Softmax([1.0]).bind(TensorDictModuleBase(), 2)
-
-
-# Values that are not allowed
-
-
-@pytest.mark.parametrize("epsilon", [-0.1, 1.1, math.nan, "0.3", [0.1, 1.1], Linear(0, 2, 9)])
-def test_epsilon_out_of_range(epsilon):
-    with pytest.raises(ValueError, match=r"epsilon.*\[0, 1\]"):
-        EpsilonGreedy(epsilon)
-
-
-@pytest.mark.parametrize("decay", [-0.1, 1.1, math.nan, "fast"])
-def test_decay_out_of_range(decay):
-    with pytest.raises(ValueError, match=r"decay.*\[0, 1\]"):
-        DecayingEpsilonGreedy(decay)
-
-
-@pytest.mark.parametrize("temperature", [0, -1.0, math.nan, math.inf, [1.0, 0.0]])
-def test_temperature_out_of_range(temperature):
-    with pytest.raises(ValueError, match=r"temperature.*> 0"):
-        Softmax(temperature)
-
-
-class Stated(MixtureStrategy):
-    """A strategy that states what it is given, from iteration 1 on."""
-
-    def __init__(self, point: Mixture) -> None:
-        super().__init__()
-        self.point = point
-
-    def mixture(self) -> Mixture:
-        return self.point if self.iteration else Mixture(uniform=1.0)
-
-
-@pytest.mark.parametrize(
-    ("point", "message"),
-    [
-        (Mixture(softmax=1.0, temperature=np.ones(2)), "temperature.*2.*5"),
-        (Mixture(softmax=0.5, uniform=0.1), "sum to 1.*0.0.*0.5.*0.1"),
-        (Mixture(softmax=1.5, uniform=-0.5), ">= 0.*sum to 1.*1.5.*-0.5"),
-        (Mixture(greedy=np.full(5, 0.5), uniform=np.linspace(0.5, 0.6, 5)), "sum to 1"),
-        (Mixture(softmax=math.nan), "sum to 1"),
-    ],
-)
-def test_what_is_no_mixture_is_refused_whenever_it_comes(point, message):
-    """Compiled code must not read beside an array, and a weight must not get lost."""
-    env = make_env("CartPole-v1", trials=5)
-    strategy = Stated(point)
-    collector = FusedCollector(env, TensorDictSequential(LinearPolicy(env), strategy))
-    collector.collect()
-    strategy.step()
-    with pytest.raises(ValueError, match=message):
-        collector.collect()
-
-
-@pytest.mark.parametrize(
-    "weights",
-    [
-        {"greedy": 0.5, "uniform": 0.51},
-        {"greedy": 1.5, "uniform": -0.5},
-        {"greedy": np.array([0.5, 0.5]), "uniform": np.array([0.5, 0.52])},
-        {"greedy": np.array([0.5, 1.5]), "uniform": np.array([0.5, -0.5])},
-    ],
-)
-def test_weights_are_a_distribution_for_every_trial(weights):
-    class Own(MixtureStrategy):
-        def mixture(self):
-            return Mixture(**weights)
-
-    with pytest.raises(ValueError, match="sum to 1"):
-        Own().checked_mixture(2)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

@@ -11,8 +11,8 @@ import pytest
 from trl_explore.collectors import FusedCollector
 from trl_explore.strategies import Softmax
 from trl_explore.training import shards as module
-from trl_explore.training.record import Trials
 from trl_explore.training.shards import Shards, partition
+from trl_explore.training.trials import Trials
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])

@@ -18,7 +18,7 @@ from torchrl.envs.utils import ExplorationType
 
 from trl_explore.checks import check_integer
 from trl_explore.envs import LaneVectorEnv, lane_env
-from trl_explore.envs.probing import check_resumable
+from trl_explore.envs.checking import check_resumable
 from trl_explore.numerics.surrogate import FrameArrays
 from trl_explore.strategies import BaseStrategy
 

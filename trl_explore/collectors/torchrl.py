@@ -14,7 +14,8 @@ from torchrl.envs.transforms import Transform
 from torchrl.envs.utils import set_exploration_type
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
-from trl_explore.collectors.compiling import NEXT, ROOT, has_inverse
+from trl_explore.collectors.columns import NEXT, ROOT
+from trl_explore.collectors.compilable import has_inverse
 from trl_explore.envs.make import own_transforms
 from trl_explore.numerics.streams import Stream, generator
 
@@ -63,7 +64,7 @@ class TorchRLCollector(EpisodeCollector):
                 for module in self.policy:
                     module(td)
                 td.set("next", self._next(td))
-                score += lanes.signals.reward
+                score += lanes.outputs.reward
                 frames.append(self._frame(td))
                 td = self.env._step_mdp(td)
                 if own:

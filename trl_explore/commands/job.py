@@ -31,7 +31,7 @@ from trl_explore.jobs.signals import Interrupts
 
 if TYPE_CHECKING:
     from trl_explore.jobs.resume import Saver
-    from trl_explore.training.record import Trials
+    from trl_explore.training.trials import Trials
 
 EXPECTED = (ValueError, OmegaConfBaseException, OSError, MemoryError)
 """Errors whose message suffices; other messages are prefixed with the type of the error."""

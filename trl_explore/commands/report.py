@@ -14,7 +14,7 @@ from trl_explore.jobs.console import Bar, printable, tell, text_table
 from trl_explore.jobs.files import ResultsError
 from trl_explore.logs.csv_files import USUAL
 from trl_explore.logs.measures import tasks
-from trl_explore.logs.runs import READERS, read_runs
+from trl_explore.logs.readers import READERS, read_runs
 from trl_explore.report.build import build_report
 from trl_explore.report.study_file import THESIS, StudyFile, read_study
 

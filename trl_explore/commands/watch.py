@@ -34,7 +34,7 @@ def film(
     out: Path,
 ) -> list[str]:
     """Write the film; returns a line on each episode."""
-    from trl_explore.show.film import ROW, Panel, write_film
+    from trl_explore.show.film import ROW, FilmPanel, write_film
     from trl_explore.show.playing import play
 
     if (number := len(jobs) * len(iterations)) > MOST:
@@ -48,7 +48,7 @@ def film(
         title += ", without exploration" if greedy else ""
         when = f"trial {episode.trial} after {episode.iteration} iterations"
         when += " (its last)" if episode.stopped else ""
-        panels.append(Panel(title, when, episode))
+        panels.append(FilmPanel(title, when, episode))
         line = f"{title}: {when}, score {round(episode.score, 1):g} in {len(episode.action)} steps"
         if episode.exploratory is not None and not greedy:
             line += f", {episode.exploratory.sum()} of them exploratory"

@@ -107,12 +107,12 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from tensordict.nn import TensorDictSequential
 
     from trl_explore.collectors import FusedCollector, auto_collector
-    from trl_explore.envs.probing import remarks
+    from trl_explore.envs.checking import remarks
     from trl_explore.policies.actor import actor_of
     from trl_explore.training.diagnostics import Diagnostics
-    from trl_explore.training.record import Trials
     from trl_explore.training.snapshots import Snapshots, Visits
     from trl_explore.training.trainer import Trainer
+    from trl_explore.training.trials import Trials
 
     size = rows.stop - rows.start
     trials = calling(
@@ -167,8 +167,11 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
 
 def _policy(config: DictConfig) -> Callable[..., Any]:
     """The constructor of the policy; its learning rate is for the optimiser."""
-    plain = {key: value for key, value in config.policy.items() if key != "lr"}
-    return constructor_of(OmegaConf.create({"policy": plain}), "policy")
+    plain = cast(
+        dict[str, Any], OmegaConf.to_container(config.policy, resolve=True, throw_on_missing=True)
+    )
+    plain.pop("lr", None)
+    return constructor_of({"policy": plain}, "policy")
 
 
 def _environment(config: DictConfig) -> Callable[..., Any]:
@@ -182,12 +185,12 @@ def _environment(config: DictConfig) -> Callable[..., Any]:
     for wrapper in plain.get("wrappers") or []:
         wrapper["_partial_"] = True
     plain = {key: value for key, value in plain.items() if key not in without}
-    return constructor_of(OmegaConf.create({"env": plain}), "env")
+    return constructor_of({"env": plain}, "env")
 
 
 def _check_transforms(config: DictConfig, make: Callable[..., Any]) -> None:
     """Reject transforms that mix trials, or fail; each error names the transform."""
-    from trl_explore.envs.probing import check_transforms
+    from trl_explore.envs.checking import check_transforms
 
     def build() -> list[Any]:
         return [instantiate(node, _convert_="all") for node in nodes]

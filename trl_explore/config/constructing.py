@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from functools import partial
 from typing import Any, cast
@@ -16,14 +16,11 @@ from trl_explore.config.files import ConfigError
 
 KEPT = 64
 """Most constructors that are kept."""
-_kept: dict[str, tuple[Any, partial[Any]]] = {}
-"""The target, and its constructor, of configurations that hold no other, by their text.
-
-Hydra is slow to make one.
-"""
+_kept: dict[str, partial[Any]] = {}
+"""The constructors of configurations that hold no other, by their text: Hydra makes them slowly."""
 
 
-def constructor_of(config: DictConfig, group: str) -> Callable[..., Any]:
+def constructor_of(config: Mapping[str, Any] | DictConfig, group: str) -> Callable[..., Any]:
     """The constructor that a group's configuration describes."""
 
     def construct(*args: Any, **kwargs: Any) -> Any:
@@ -32,18 +29,19 @@ def constructor_of(config: DictConfig, group: str) -> Callable[..., Any]:
     return construct
 
 
-def _constructor(node: DictConfig) -> Callable[..., Any]:
+def _constructor(node: dict[str, Any] | DictConfig) -> Callable[..., Any]:
     """``node`` with its own arguments; every agent gets objects of its own in them."""
-    plain = cast(dict[str, Any], OmegaConf.to_container(node, resolve=True))
+    plain = node if isinstance(node, dict) else OmegaConf.to_container(node, resolve=True)
+    plain = cast(dict[str, Any], plain)
     nested = "_target_" in str(list(plain.values()))
     if nested or not isinstance(plain.get("_target_"), str):
         return instantiate(node, _convert_="all", _partial_=True)
-    target, (before, made) = get_object(plain["_target_"]), _kept.get(repr(plain), (None, None))
-    if made is None or before != target:  # a notebook may have defined a class again
+    text, target = repr(plain), get_object(plain["_target_"])  # a notebook may define it again
+    if text not in _kept:
         if len(_kept) >= KEPT:
             _kept.clear()
-        made = instantiate(plain, _convert_="all", _partial_=True)
-        _kept[repr(plain)] = target, made
+        _kept[text] = instantiate(plain, _convert_="all", _partial_=True)
+    made = _kept[text]
     return partial(target, *deepcopy(made.args), **deepcopy(made.keywords))
 
 

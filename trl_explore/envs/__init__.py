@@ -24,7 +24,7 @@ TASKS = {
     "RiverSwim-v0": ("tables:RiverSwim", 20, 2.5),
     "TwoRooms-v0": ("tables:TwoRooms", 100, 0.9),
     "SparseMountainCar-v0": ("classic_control:SparseMountainCar", 1000, 0.9),
-    "SwingUp-v0": ("bsuite:SwingUp", 200, 50.0),
+    "SwingUp-v0": ("swing_up:SwingUp", 200, 50.0),
     "Catch-v0": ("bsuite:Catch", None, 0.9),
 }
 """Name -> class, in a module of ``envs.kernels`` with its kernel; time limit (None: it ends by

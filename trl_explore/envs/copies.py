@@ -1,8 +1,4 @@
-"""Copies of an environment: what they return is checked, and their errors name the place.
-
-An environment is code of other authors. Everything that it returns passes through ``Copies`` before
-the program uses it: no value of a wrong type or shape is converted silently.
-"""
+"""Copies of an environment: what they return is checked, and their errors name the place."""
 
 from __future__ import annotations
 
@@ -46,7 +42,7 @@ class EnvError(ValueError):
         return cls(f"environment {id!r} {what} in episode {episode} of trial {trial}")
 
 
-class Signals(NamedTuple):
+class Outputs(NamedTuple):
     """The last outputs of the copies, one column each, in one piece of memory.
 
     Attributes:
@@ -61,8 +57,8 @@ class Signals(NamedTuple):
     mask: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, n: int, n_features: int, masked: int, memory: Any = None) -> Signals:
-        """Signals of n copies; ``masked`` is the number of actions in a mask, 0 without masks.
+    def of(cls, n: int, n_features: int, masked: int, memory: Any = None) -> Outputs:
+        """Outputs of n copies; ``masked`` is the number of actions in a mask, 0 without masks.
 
         ``memory`` is a buffer for the ``layout``; None: memory of its own.
         """
@@ -74,35 +70,37 @@ class Signals(NamedTuple):
 
     @staticmethod
     def layout(n: int, n_features: int, masked: int) -> np.dtype[Any]:
-        """The memory of n copies' signals."""
+        """The memory of n copies' outputs."""
         observation, mask = ("observation", "f4", (n, n_features)), ("mask", "?", (n, masked))
         flags = [(name, "?", (n,)) for name in ("terminated", "truncated")]
         return np.dtype([observation, ("reward", "f8", (n,)), *flags, mask], align=True)
 
 
 class Copies:
-    """n copies of an environment, built on first use, which write into one set of signals.
+    """n copies of an environment, built on first use, which write into one set of outputs.
+
+    No value of a wrong type or shape is converted silently.
 
     Args:
         id: gymnasium id, for messages.
         make: the constructor.
-        signals: where the copies write.
+        outputs: where the copies write.
         first: the first copy, if it exists already.
     """
 
-    def __init__(self, id: str, make: Make, signals: Signals, first: gym.Env | None = None) -> None:
-        self.id, self.make, self.signals = id, make, signals
+    def __init__(self, id: str, make: Make, outputs: Outputs, first: gym.Env | None = None) -> None:
+        self.id, self.make, self.outputs = id, make, outputs
         self.envs: list[gym.Env] = []
         self._sources: list[Source] = []
         self._steps: list[Callable[[Any], Any]] = []
         self._limits: list[int] = []
         self._ages: list[int] = []
-        self._rows: list[Any] = list(signals.observation)
+        self._rows: list[Any] = list(outputs.observation)
         self._places = [(0, 0)] * len(self._rows)
-        self._masked = signals.mask.shape[1]
+        self._masked = outputs.mask.shape[1]
         # Assignment to a memoryview is fast, and fails if the type or the shape differs.
         self._views: list[Any] = [memoryview(row) for row in self._rows]
-        reward: Any = signals.reward
+        reward: Any = outputs.reward
         self._rewards: Any = memoryview(reward)
         if first is not None:
             self._add(first)
@@ -114,7 +112,7 @@ class Copies:
                 f"environment {self.id!r} has the action space {shown(here)} in one "
                 f"trial and {shown(first)} in another"
             )
-        if size != (n_features := self.signals.observation.shape[1]):
+        if size != (n_features := self.outputs.observation.shape[1]):
             raise EnvError(
                 f"environment {self.id!r} has observations of {size} numbers in one trial "
                 f"and of {n_features} in another"
@@ -141,7 +139,7 @@ class Copies:
                 of = dict(zip(rows, trials, strict=True)).get(k, "another one")
                 raise EnvError(f"{error}, when it was built for trial {of}") from error
             self._add(env)
-        signals = self.signals
+        outputs = self.outputs
         for row, trial, episode in zip(rows, trials, episodes, strict=True):
             self._places[row] = trial, episode
             try:
@@ -153,11 +151,11 @@ class Copies:
             observation, info = answer
             self._observe(row, observation)
             self._ages[row] = 0
-            signals.reward[row] = 0
-            signals.terminated[row] = signals.truncated[row] = False
+            outputs.reward[row] = 0
+            outputs.terminated[row] = outputs.truncated[row] = False
             if self._masked:
                 # A mask may come with steps only; the first action is then free.
-                self._read_mask(row, info) if "action_mask" in info else signals.mask[row].fill(1)
+                self._read_mask(row, info) if "action_mask" in info else outputs.mask[row].fill(1)
             elif "action_mask" in info:
                 self._check_info(row, info)
 
@@ -165,7 +163,7 @@ class Copies:
         self, rows: Sequence[int], actions: NDArray[Any]
     ) -> bool:
         """Step the copies ``rows`` [m] with actions [m] or [m, n_dims]; whether one ends."""
-        terminated, truncated = self.signals.terminated, self.signals.truncated
+        terminated, truncated = self.outputs.terminated, self.outputs.truncated
         steps, ages, limits, masked = self._steps, self._ages, self._limits, self._masked
         views, rewards, vectors = self._views, self._rewards, self._vectors
         vector, low, high, over = np.ndarray, -MAX_REWARD, MAX_REWARD, False
@@ -286,14 +284,11 @@ class Copies:
                 "must return info['action_mask'] with one value for each of "
                 f"{self._masked} actions, but returned {shown(mask)}",
             )
-        self.signals.mask[row] = array
+        self.outputs.mask[row] = array
 
 
 def _without_wrappers(env: gym.Env) -> tuple[Callable[[Any], Any], int]:
-    """The step function inside gymnasium's time limit and order check, and the limit.
-
-    ``Copies`` does both, for a third of the time.
-    """
+    """The step function without time limit and order check, and the limit; ``step`` does both."""
     limit = np.iinfo(np.int64).max
     inner = env
     if type(inner) is TimeLimit:

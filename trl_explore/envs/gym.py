@@ -33,7 +33,7 @@ def make_gym(
     """One gymnasium environment.
 
     Args:
-        id: gymnasium id; ``torchrl:module.Class`` is a TorchRL environment (``envs.torchrl``).
+        id: gymnasium id; ``torchrl:module.Class`` is a TorchRL environment (``envs.from_torchrl``).
         max_steps: time limit of an episode in steps; None means gymnasium's registered limit.
         kwargs: arguments of the environment's constructor.
         attributes: numbers, flags and strings of the environment to replace after construction, for
@@ -85,7 +85,7 @@ def _wrap(id: str, env: gym.Env, wrapper: Callable[[gym.Env], gym.Env]) -> gym.E
 def _construct(id: str, max_steps: int | None, kwargs: dict[str, Any]) -> gym.Env:
     """Construct an environment; any error of its constructor becomes one line."""
     if str(id).startswith(TORCHRL):
-        from trl_explore.envs.torchrl import TorchRLEnv
+        from trl_explore.envs.from_torchrl import TorchRLEnv
 
         env = TorchRLEnv(id.removeprefix(TORCHRL), **kwargs)
         return env if max_steps is None else gym.wrappers.TimeLimit(env, max_steps)

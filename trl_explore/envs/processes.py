@@ -25,7 +25,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from trl_explore.checks import check_integer, first_line
-from trl_explore.envs.copies import Copies, EnvError, Make, Signals
+from trl_explore.envs.copies import Copies, EnvError, Make, Outputs
 from trl_explore.numerics.streams import Stream
 
 MAX_WORKERS, MIN_LANES = 256, 4
@@ -37,7 +37,7 @@ BOOT = (
 
 
 class ProcessCopies(Copies):
-    """``Copies`` distributed over this process and others, with signals in shared memory.
+    """``Copies`` distributed over this process and others, with outputs in shared memory.
 
     Copy ``row`` is in process ``row % workers``, where 0 is this process, so that the load stays
     even when some copies have stopped. Each trial has its own random streams, so results do not
@@ -47,20 +47,20 @@ class ProcessCopies(Copies):
         id: gymnasium id; its registration is copied to the other processes.
         make: the constructor; it is pickled, and called in the processes.
         first: the first copy.
-        shape: the arguments of ``Signals.of``.
+        shape: the arguments of ``Outputs.of``.
         workers: the number of processes, at most n; they are started on first use.
 
     Attributes:
-        all: the signals of all copies.
+        all: the outputs of all copies.
     """
 
     def __init__(
         self, id: str, make: Make, first: gym.Env, shape: tuple[int, int, int], workers: int
     ) -> None:
-        self._file, size = _memory_file(), Signals.layout(*shape).itemsize
+        self._file, size = _memory_file(), Outputs.layout(*shape).itemsize
         os.ftruncate(self._file, size)
         weakref.finalize(self, os.close, self._file)
-        self.all = Signals.of(*shape, mmap.mmap(self._file, size))
+        self.all = Outputs.of(*shape, mmap.mmap(self._file, size))
         super().__init__(id, make, _share(self.all, 0, workers), first)
         self.workers, self._shape = workers, shape
         self._processes: list[_Process] = []
@@ -145,15 +145,15 @@ def processors() -> int:
 def _memory_file() -> int:
     """A file without a name, in memory if the system has such files."""
     if hasattr(os, "memfd_create"):
-        return os.memfd_create("signals")
+        return os.memfd_create("outputs")
     with tempfile.TemporaryFile() as file:
         return os.dup(file.fileno())
 
 
-def _share(signals: Signals, k: int, workers: int) -> Signals:
-    """The signals of the copies in process k."""
-    columns: list[Any] = [column[k::workers] for column in signals]
-    return Signals(*columns)
+def _share(outputs: Outputs, k: int, workers: int) -> Outputs:
+    """The outputs of the copies in process k."""
+    columns: list[Any] = [column[k::workers] for column in outputs]
+    return Outputs(*columns)
 
 
 class _FailedError(Exception):
@@ -268,5 +268,5 @@ def _copies(
     """The copies in this worker process."""
     if spec is not None:
         gym.registry.setdefault(spec.id, spec)
-    memory = mmap.mmap(file, Signals.layout(*shape).itemsize)
-    return Copies(id, make, _share(Signals.of(*shape, memory), k, workers))
+    memory = mmap.mmap(file, Outputs.layout(*shape).itemsize)
+    return Copies(id, make, _share(Outputs.of(*shape, memory), k, workers))

@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from trl_explore.checks import LARGEST, check_integer
-from trl_explore.envs.copies import Copies, EnvError, Make, Signals
+from trl_explore.envs.copies import Copies, EnvError, Make, Outputs
 from trl_explore.envs.flattening import Actions, UnsupportedSpaceError, flat_observations
 from trl_explore.envs.gym import make_gym, time_limit
 from trl_explore.envs.processes import ProcessCopies, worker_count
@@ -96,12 +96,12 @@ class LaneVectorEnv(VectorEnv):
             masked = int(env.action_space.n) if self.has_masks else 0
         shape = (num_envs, n_features, masked)
         if self.workers == 1:
-            self.signals = Signals.of(*shape)
-            self._copies = Copies(id, make, self.signals, env)
+            self.outputs = Outputs.of(*shape)
+            self._copies = Copies(id, make, self.outputs, env)
         else:
             self._copies = ProcessCopies(id, make, env, shape, self.workers)
-            self.signals = self._copies.all
-        self._flat = self.signals.observation.reshape(-1)
+            self.outputs = self._copies.all
+        self._flat = self.outputs.observation.reshape(-1)
         self.running = np.zeros(num_envs, dtype=np.bool_)
         """Whether a lane's episode is unfinished [num_envs]."""
         self._continuous = isinstance(self.single_action_space, Box)
@@ -126,7 +126,7 @@ class LaneVectorEnv(VectorEnv):
         mask = (options or {}).get("reset_mask")
         self.begin(np.arange(self.num_envs) if mask is None else np.flatnonzero(mask))
         self.check()
-        return self.signals.observation.copy(), self._info()
+        return self.outputs.observation.copy(), self._info()
 
     def step(
         self, actions: NDArray[Any]
@@ -134,23 +134,23 @@ class LaneVectorEnv(VectorEnv):
         NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
     ]:
         """Step the unfinished lanes; a finished one repeats its last observation with reward 0."""
-        signals = self.signals
-        signals.reward[:] = 0
+        outputs = self.outputs
+        outputs.reward[:] = 0
         lanes = np.flatnonzero(self.running)
         self.advance(lanes, np.asarray(actions)[lanes])
         self.check()
         return (
-            signals.observation.copy(),
-            signals.reward.copy(),
-            signals.terminated.copy(),
-            signals.truncated.copy(),
+            outputs.observation.copy(),
+            outputs.reward.copy(),
+            outputs.terminated.copy(),
+            outputs.truncated.copy(),
             self._info(),
         )
 
     def begin(self, lanes: NDArray[np.int64]) -> None:
-        """Begin the episode ``episodes[k]`` in some lanes; ``signals`` then has their start.
+        """Begin the episode ``episodes[k]`` in some lanes; ``outputs`` then has their start.
 
-        A collector that calls ``begin`` and ``advance`` reads ``signals`` in place, and calls
+        A collector that calls ``begin`` and ``advance`` reads ``outputs`` in place, and calls
         ``check`` after each, unless it checks by itself that the observations are finite.
 
         Raises:
@@ -168,7 +168,7 @@ class LaneVectorEnv(VectorEnv):
         self.running[lanes] = True
 
     def advance(self, lanes: NDArray[np.int64], actions: NDArray[Any]) -> None:
-        """Step some unfinished lanes with their actions [m] or [m, n_dims]; fills ``signals``.
+        """Step some unfinished lanes with their actions [m] or [m, n_dims]; fills ``outputs``.
 
         The rows of other lanes stay as they are.
 
@@ -179,11 +179,11 @@ class LaneVectorEnv(VectorEnv):
             k = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
             raise self._error(lanes[k], f"got the non-finite action {actions[k].tolist()}")
         if self._copies.step(lanes.tolist(), actions):
-            signals = self.signals
-            self.running[lanes] = ~(signals.terminated[lanes] | signals.truncated[lanes])
+            outputs = self.outputs
+            self.running[lanes] = ~(outputs.terminated[lanes] | outputs.truncated[lanes])
 
     def _info(self) -> dict[str, Any]:
-        return {"action_mask": self.signals.mask.copy()} if self.has_masks else {}
+        return {"action_mask": self.outputs.mask.copy()} if self.has_masks else {}
 
     def check(self) -> None:
         """Reject non-finite observations, and masks that forbid every action.
@@ -193,14 +193,14 @@ class LaneVectorEnv(VectorEnv):
         """
         # A sum of squares is fast, and not finite if one of them is not.
         if not isfinite(self._flat.dot(self._flat)):
-            self._check_finite(self.signals.observation, "returned observation")
-        if self.has_masks and not (some := self.signals.mask.any(axis=1)).all():
+            self._check_finite(self.outputs.observation, "returned observation")
+        if self.has_masks and not (some := self.outputs.mask.any(axis=1)).all():
             stuck = np.flatnonzero(~some & self.running)
             if len(stuck):
                 raise self._error(
                     int(stuck[0]), "returned an action mask that forbids every action"
                 )
-            self.signals.mask[~some] = True
+            self.outputs.mask[~some] = True
 
     def check_transformed(self, observation: NDArray[Any], reward: NDArray[Any]) -> None:
         """Reject what transforms have made of finite numbers, if it is not finite.
@@ -235,7 +235,7 @@ def _has_masks(id: str, make: Make, n_features: int, trial: int) -> bool:
     Raises:
         EnvError: if the reset fails, or returns what it must not.
     """
-    probe = _Probe(id, make, Signals.of(1, n_features, 0))
+    probe = _Probe(id, make, Outputs.of(1, n_features, 0))
     try:
         probe.reset([0], [trial], [0], 0, Stream.ENVIRONMENT)
         if not probe.masks:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trl_explore.statistics.outcomes import Outcomes, lower_median
 
 if TYPE_CHECKING:
-    from trl_explore.training.record import Trials
+    from trl_explore.training.trials import Trials
 
 REFRESH = 0.2
 """Seconds between two refreshes of the live line."""

@@ -14,9 +14,9 @@ from trl_explore.jobs.checkpoint import FOLDER, Checkpoint, Packed, Store, pack,
 from trl_explore.jobs.signals import Interrupts
 
 if TYPE_CHECKING:
-    from trl_explore.training.record import Trials
     from trl_explore.training.shards import Shards
     from trl_explore.training.trainer import Trainer
+    from trl_explore.training.trials import Trials
 
 SHARE = 0.01
 """Maximum share of the time spent on checkpoints (approximate), however slow the disk is."""

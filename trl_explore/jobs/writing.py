@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trl_explore import __version__
 from trl_explore.jobs.code import code_digests
 from trl_explore.jobs.columns import (
     EPISODE_COLUMNS,
@@ -38,13 +39,12 @@ from trl_explore.jobs.columns import (
     table_text,
 )
 from trl_explore.jobs.files import RUN, named, record, write_whole
-from trl_explore.names import VERSION
 
 if TYPE_CHECKING:
     import pandas as pd
     from torch import Tensor
 
-    from trl_explore.training.record import Trials
+    from trl_explore.training.trials import Trials
 
 
 def clear(job: Path) -> None:
@@ -63,7 +63,7 @@ def clear(job: Path) -> None:
 @cache
 def versions() -> Mapping[str, str]:
     """The versions of Python and of the packages on which the bits of a result may depend."""
-    own = {"python": platform.python_version(), "trl_explore": VERSION}
+    own = {"python": platform.python_version(), "trl_explore": __version__}
     return own | {package: version(package) for package in PACKAGES if package not in own}
 
 

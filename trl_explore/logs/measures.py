@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trl_explore.jobs.files import ResultsError
-from trl_explore.logs.runs import Run
+from trl_explore.logs.readers import Run
 from trl_explore.statistics.comparisons import Measure
 from trl_explore.statistics.estimates import Estimate, pass_rate
 from trl_explore.statistics.outcomes import Outcomes

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives.common import LossModule
 
-from trl_explore.checks import check_flag, check_integer, check_number, settle
+from trl_explore.checks import check_flag, check_integer, check_number, withdraw
 from trl_explore.numerics.surrogate import FrameArrays, linear_softmax_surrogate
 from trl_explore.objectives.baselines import Baseline, Constant
 from trl_explore.objectives.corrections import Correction, as_correction, log_ratio_of
@@ -120,8 +120,8 @@ class ReinforceLoss(LossModule):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        settle(cls, "closed_form", False, ["forward"])
-        settle(cls, "whole", False, ["forward", "backward", "step"])
+        withdraw(cls, "closed_form", False, ["forward"])
+        withdraw(cls, "whole", False, ["forward", "backward", "step"])
 
     def __init__(
         self,

@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase
 
 from trl_explore.checks import check_flag, check_number
 from trl_explore.numerics.layers import lane_linear
-from trl_explore.policies.layers import LaneLinear, LaneMLP, Network, layer_sizes, n_dims
+from trl_explore.policies.layers import LaneLinear, LaneMLP, NetworkOptions, layer_sizes, n_dims
 
 LARGEST_LOG = 20.0
 """Log-scales are kept within ±20; beyond that, an action or density may not be finite."""
@@ -104,7 +104,7 @@ class GaussianMLPPolicy(TensorDictModule):
         hidden: Sequence[int] = (32, 32),
         initial_scale: float | Sequence[float] = 1.0,
         state_dependent_scale: bool = False,
-        **network: Unpack[Network],
+        **network: Unpack[NetworkOptions],
     ) -> None:
         (trials,) = env.batch_size
         dims = n_dims(env)

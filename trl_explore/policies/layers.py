@@ -190,7 +190,7 @@ class LaneLinear(nn.Module):
         return lane_linear(observation, self.weight, trial, self.bias)
 
 
-class Network(TypedDict, total=False):
+class NetworkOptions(TypedDict, total=False):
     """The arguments of ``LaneMLP`` that policies take too."""
 
     activation: str

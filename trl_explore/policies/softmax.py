@@ -9,11 +9,11 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.envs import EnvBase
 
-from trl_explore.checks import settle
+from trl_explore.checks import withdraw
 from trl_explore.policies.layers import (
     LaneLinear,
     LaneMLP,
-    Network,
+    NetworkOptions,
     initial_weights,
     is_one_hot,
     layer_sizes,
@@ -50,7 +50,7 @@ class LinearPolicy(TensorDictModule):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        settle(cls, "linear_softmax", False, ["forward"])
+        withdraw(cls, "linear_softmax", False, ["forward"])
 
     def __init__(
         self, env: EnvBase, *, init: str = "glorot_uniform", seed: int = 0, first_trial: int = 0
@@ -124,7 +124,7 @@ class MLPPolicy(TensorDictModule):
     actions = "discrete"
 
     def __init__(
-        self, env: EnvBase, *, hidden: Sequence[int] = (32, 32), **network: Unpack[Network]
+        self, env: EnvBase, *, hidden: Sequence[int] = (32, 32), **network: Unpack[NetworkOptions]
     ) -> None:
         (trials,) = env.batch_size
         module = LaneMLP(layer_sizes(env, hidden, n_actions(env)), trials, **network)

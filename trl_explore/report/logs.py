@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trl_explore.logs.measures import Task, by_configuration, seeds_text
-from trl_explore.logs.runs import Run
+from trl_explore.logs.readers import Run
 from trl_explore.report.build import write_page
 from trl_explore.report.figures import Picture
 from trl_explore.report.figures.logs import task_figures

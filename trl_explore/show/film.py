@@ -34,7 +34,7 @@ LEGEND = "exploratory: not the action that the policy prefers"
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
+class FilmPanel:
     """An episode with its heading: the name of what acts, and a line on when."""
 
     title: str
@@ -67,7 +67,7 @@ def pictures(episode: Episode) -> list[NDArray[np.uint8]]:
         ) from error
 
 
-def write_film(path: Path, panels: Sequence[Panel], columns: int = ROW) -> None:
+def write_film(path: Path, panels: Sequence[FilmPanel], columns: int = ROW) -> None:
     """Draw the episodes side by side, and write the film.
 
     Args:
@@ -92,7 +92,7 @@ def write_film(path: Path, panels: Sequence[Panel], columns: int = ROW) -> None:
 
 
 def compose(
-    panels: Sequence[Panel],
+    panels: Sequence[FilmPanel],
     shown: Sequence[Sequence[NDArray[np.uint8]]],
     step: int,
     stride: int = 1,
@@ -129,7 +129,7 @@ def _draw_panel(
     film: Image.Image,
     draw: ImageDraw.ImageDraw,
     corner: tuple[int, int],
-    panel: Panel,
+    panel: FilmPanel,
     shown: Sequence[NDArray[np.uint8]],
     step: int,
     stride: int,

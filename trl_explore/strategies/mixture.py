@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from trl_explore.checks import holds, settle
+from trl_explore.checks import holds, withdraw
 from trl_explore.strategies.discrete import Strategy, actions_outermost
 from trl_explore.strategies.frames import readable, rows
 from trl_explore.strategies.schedules import Value
@@ -49,7 +49,7 @@ class MixtureFamily(BaseStrategy):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        settle(cls, "mixes_policy", False, cls.REPLACED)
+        withdraw(cls, "mixes_policy", False, cls.REPLACED)
 
     @abstractmethod
     def mixture(self) -> Any:
@@ -77,6 +77,10 @@ class MixtureFamily(BaseStrategy):
         """
         mixture = self.mixture()
         point = type(mixture)(*numbers(mixture))
+        if all([type(value) is float for value in point]):  # noqa: C419 - faster
+            one, two, three = point[:3]
+            if min(one, two, three) >= 0 and abs(one + two + three - 1.0) <= 1e-6:
+                return point
         for name, value in point._asdict().items():
             if not isinstance(value, float) and np.shape(value) not in ((), (trials,)):
                 raise ValueError(
@@ -113,7 +117,7 @@ class MixtureStrategy(MixtureFamily, Strategy):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        settle(cls, "compilable", False, cls.REPLACED)
+        withdraw(cls, "compilable", False, cls.REPLACED)
 
     def behaviour_parameters(self, parameters: Sequence[Tensor]) -> list[Tensor]:
         """The parameters with which the policy's logits equal the strategy's ``preferences``.

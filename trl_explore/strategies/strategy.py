@@ -14,8 +14,8 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from trl_explore.checks import settle
-from trl_explore.strategies import workers
+from trl_explore.checks import withdraw
+from trl_explore.strategies import worker_seeds
 from trl_explore.strategies.parameters import Parametrised
 from trl_explore.strategies.schedules import Constant
 
@@ -40,7 +40,7 @@ class BaseStrategy(Parametrised):
 
     Random numbers come from torch's generator of the process, as in TorchRL's own modules, unless
     there is an entry ``noise_key``. Worker processes have different, reproducible numbers: see
-    ``strategies.workers``.
+    ``strategies.worker_seeds``.
 
     Attributes:
         actions: the kind of action, "discrete" or "continuous".
@@ -76,8 +76,8 @@ class BaseStrategy(Parametrised):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        settle(cls, "learns_from_data", True, ["step"])
-        settle(cls, "per_episode", True, ["begin"])
+        withdraw(cls, "learns_from_data", True, ["step"])
+        withdraw(cls, "per_episode", True, ["begin"])
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class BaseStrategy(Parametrised):
         trial_key: NestedKey = "trial",
     ) -> None:
         super().__init__(trial_key)
-        workers.watch(self)
+        worker_seeds.watch(self)
         self.action_key, self.noise_key = action_key, noise_key
         name = action_key if isinstance(action_key, str) else action_key[-1]
         self.log_prob_key = log_prob_key or self._beside(f"{name}_log_prob")
@@ -100,11 +100,11 @@ class BaseStrategy(Parametrised):
         self._trained_here = False
 
     def __getstate__(self) -> dict[str, Any]:
-        return workers.pack(self.__dict__.copy())
+        return worker_seeds.pack(self.__dict__.copy())
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(workers.unpack(state))
-        workers.watch(self)
+        super().__setstate__(worker_seeds.unpack(state))
+        worker_seeds.watch(self)
 
     def _beside(self, name: str) -> NestedKey:
         """The entry with this name in the group of the action."""

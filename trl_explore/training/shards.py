@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from trl_explore.numerics.compiled.cache import clock
-from trl_explore.training.record import Trials
 from trl_explore.training.snapshots import Snapshots, Visits
 from trl_explore.training.trainer import Trainer
+from trl_explore.training.trials import Trials
 
 LARGEST = 4096
 """Most trials in a shard: larger ones need more memory for the frames and are not faster."""

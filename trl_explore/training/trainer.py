@@ -17,8 +17,8 @@ from trl_explore.training.diagnostics import Diagnostics
 from trl_explore.training.evaluation import Evaluator
 from trl_explore.training.intrinsic import CountReward
 from trl_explore.training.optimizers import TrialOptimizer, Views, all_finite
-from trl_explore.training.record import Trials
 from trl_explore.training.snapshots import Snapshots
+from trl_explore.training.trials import Trials
 
 PARTS = (
     "collector", "loss", "optimizer", "trials", "evaluator", "diagnostics", "intrinsic",

@@ -13,8 +13,9 @@ import pytest
 
 from trl_explore.envs import NAMESPACE, TASKS
 from trl_explore.envs.kernels import CompiledEnv, check_kernel, kernel_of
-from trl_explore.envs.kernels.bsuite import Catch, DeepSea, SwingUp
+from trl_explore.envs.kernels.bsuite import Catch, DeepSea
 from trl_explore.envs.kernels.classic_control import SparseMountainCar
+from trl_explore.envs.kernels.swing_up import SwingUp
 from trl_explore.envs.kernels.tables import RiverSwim, TwoRooms
 from trl_explore.numerics.streams import Stream, generator
 

@@ -21,16 +21,16 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
-from trl_explore.collectors.compiling import (
-    Columns,
+from trl_explore.collectors.columns import Columns
+from trl_explore.collectors.compilable import (
     NotCompilableError,
     compilable_policy,
     has_mask,
     mixture_array,
 )
+from trl_explore.collectors.compiled_policies import Network, arrays
 from trl_explore.collectors.fused.loop import compile_loop
 from trl_explore.collectors.fused.memory import scratch
-from trl_explore.collectors.networks import Network, arrays
 from trl_explore.envs import lane_env
 from trl_explore.envs.kernels import Kernel, kernel_of
 from trl_explore.envs.make import own_transforms

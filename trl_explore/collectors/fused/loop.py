@@ -22,7 +22,9 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from trl_explore.collectors import mixing, networks
+from trl_explore.collectors import compiled_mixtures, compiled_policies
+from trl_explore.collectors.compiled_mixtures import compile_mixing, load_point
+from trl_explore.collectors.compiled_policies import Network, compile_network
 from trl_explore.collectors.fused import memory as memory_module
 from trl_explore.collectors.fused.memory import (
     ACTION,
@@ -43,15 +45,13 @@ from trl_explore.collectors.fused.memory import (
     retire,
     row_of,
 )
-from trl_explore.collectors.mixing import compile_mixing, load_point
-from trl_explore.collectors.networks import Network, compile_network
 from trl_explore.envs.kernels import Kernel
 from trl_explore.numerics.compiled import arrays, elementary, layers, philox
 from trl_explore.numerics.compiled.arrays import borrow, lane, on_stack
 from trl_explore.numerics.compiled.cache import compiled, kernel_function
 from trl_explore.numerics.compiled.philox import STATE_SIZE, begin
 
-INLINED = (memory_module, mixing, networks, arrays, elementary, layers, philox)
+INLINED = (memory_module, compiled_mixtures, compiled_policies, arrays, elementary, layers, philox)
 """The modules compiled into the loop, besides this one and the kernel's."""
 
 
@@ -68,11 +68,11 @@ def compile_loop(
     with
 
         trials, episodes   [m] int64, rows of the weights and numbers of their episodes
-        weights            from ``networks.arrays``
+        weights            from ``compiled_policies.arrays``
         mixture            [4, 1 or *] float64: greedy, softmax, uniform, temperature
         explore            whether to draw actions; if not, the first action of largest logit
         memory             from ``memory.scratch``
-        columns            ``compiling.Columns.arrays``
+        columns            ``columns.Columns.arrays``
 
     It runs the episodes from index ``done`` on, writes their frames from frame ``place`` on, and
     their outcomes to score [m] float64 and length [m] int64. It stops before a group of episodes

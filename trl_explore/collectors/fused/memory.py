@@ -16,7 +16,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from trl_explore.collectors.networks import Network
+from trl_explore.collectors.compiled_policies import Network
 from trl_explore.envs.kernels import Kernel
 from trl_explore.numerics.compiled.arrays import borrow, one_by_one
 from trl_explore.numerics.compiled.cache import kernel_function

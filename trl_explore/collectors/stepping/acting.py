@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trl_explore.collectors.mixing import compile_mixing, load_point
-from trl_explore.collectors.networks import Network, compile_network
+from trl_explore.collectors.compiled_mixtures import compile_mixing, load_point
+from trl_explore.collectors.compiled_policies import Network, compile_network
 from trl_explore.numerics.compiled.arrays import borrow
 from trl_explore.numerics.compiled.cache import kernel_function
 from trl_explore.numerics.compiled.elementary import log32

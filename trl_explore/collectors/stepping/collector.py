@@ -13,26 +13,25 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from trl_explore.collectors.collector import EpisodeCollector, Rollout
-from trl_explore.collectors.compiling import (
-    Columns,
+from trl_explore.collectors.columns import Columns, grown
+from trl_explore.collectors.compilable import (
     NotCompilableError,
     compilable_policy,
-    grown,
     has_mask,
     mixture_array,
 )
-from trl_explore.collectors.networks import arrays
+from trl_explore.collectors.compiled_policies import arrays
 from trl_explore.collectors.stepping.acting import Form
-from trl_explore.collectors.stepping.modules import Modules, Transformed
+from trl_explore.collectors.stepping.torch_modules import Modules, Transformed
 from trl_explore.collectors.stepping.turn import (
     ACT,
     BEGIN,
     RECORD,
-    Log,
+    FrameLog,
     State,
     compile_turn,
     deliver,
-    log_kinds,
+    log_types,
 )
 from trl_explore.envs.make import own_transforms
 from trl_explore.numerics.streams import Stream, key
@@ -63,8 +62,8 @@ class SteppingCollector(EpisodeCollector):
     def __init__(self, env: TransformedEnv, policy: TensorDictSequential, **options: Any) -> None:
         super().__init__(env, policy, **options)
         self._transformed = Transformed(env) if own_transforms(env) else None
-        outputs = self._transformed or self.lanes.signals
-        self._observation = outputs.observation
+        seen = self._transformed or self.lanes.outputs
+        self._observation = seen.observation
         self._continuous = self.strategy.actions == "continuous"
         network, self._parameters, self.why_modules = None, [], None
         try:
@@ -83,7 +82,7 @@ class SteppingCollector(EpisodeCollector):
         self._state = State.of(form, self.trials)
         self._modules = None if network else Modules(self, self._state, self._observation)
         self._box = self._bounds()
-        self._kinds, self._log, self._capacity = log_kinds(form), (), 0
+        self._types, self._log, self._capacity = log_types(form), (), 0
         self._columns = Columns(
             form.n_features, n_masks=form.n_masks, n_dims=form.n_dims, exact=form.exact
         )
@@ -162,13 +161,13 @@ class SteppingCollector(EpisodeCollector):
                 transformed.step(own, action[:left])
             left, place = turn(RECORD | after, *context[:2], place, left, *context[2:], self._log)
             if transformed:
-                Log(*self._log).reward[first:place] = transformed.reward[own]
+                FrameLog(*self._log).reward[first:place] = transformed.reward[own]
         return place
 
     def _context(self) -> tuple[Any, ...]:
         """The arguments of a turn that do not change within an episode, without parts and place."""
         explore = self.exploration_type == ExplorationType.RANDOM
-        mixture, parameters, signals = np.zeros((4, 1)), self._parameters, self.lanes.signals
+        mixture, parameters, outputs = np.zeros((4, 1)), self._parameters, self.lanes.outputs
         weights: Any = ()
         if (network := self._form.network) is not None:
             strategy: Any = self.strategy
@@ -181,7 +180,7 @@ class SteppingCollector(EpisodeCollector):
                 module: Any = self.policy[0].module
                 self._state.scale[:] = module.scale().detach().numpy()
             weights = arrays(network, parameters)
-        outputs = (self._observation, signals.reward, signals.terminated, signals.truncated)
+        ends = outputs.terminated, outputs.truncated
         return (
             explore,
             self.lanes.first_trial,
@@ -189,14 +188,14 @@ class SteppingCollector(EpisodeCollector):
             weights,
             mixture,
             self._box,
-            (*outputs, signals.mask),
+            (self._observation, outputs.reward, *ends, outputs.mask),
             tuple(self._state),
         )
 
     def _reserve(self, frames: int, keep: int) -> None:
         """Make room for ``frames`` frames in the log, and keep the first ``keep``."""
         if frames > self._capacity:
-            self._log = grown(self._kinds, frames, self._log, keep)
+            self._log = grown(self._types, frames, self._log, keep)
             self._capacity = frames
 
     def _free(self) -> None:

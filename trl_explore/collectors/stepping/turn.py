@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trl_explore.collectors import mixing, networks
-from trl_explore.collectors.compiling import Kinds
+from trl_explore.collectors import compiled_mixtures, compiled_policies
+from trl_explore.collectors.columns import ColumnTypes
 from trl_explore.collectors.stepping import acting
 from trl_explore.collectors.stepping.acting import Form, compile_acting
 from trl_explore.numerics.compiled import arrays, elementary, layers, philox
@@ -78,7 +78,7 @@ class State(NamedTuple):
         )
 
 
-class Log(NamedTuple):
+class FrameLog(NamedTuple):
     """The frames of all lanes in the order of the steps, flat."""
 
     row: Any
@@ -91,8 +91,8 @@ class Log(NamedTuple):
     ended: Any  # 1: terminated, 2: truncated, 3: both, 0: the episode goes on
 
 
-def log_kinds(form: Form) -> Kinds:
-    """The columns of a ``Log``."""
+def log_types(form: Form) -> ColumnTypes:
+    """The columns of a ``FrameLog``."""
     kinds: list[tuple[int, Any]] = [
         (1, np.int64),
         (form.n_features, np.float32),
@@ -103,7 +103,7 @@ def log_kinds(form: Form) -> Kinds:
         (1, np.float32),
         (1, np.uint8),
     ]
-    names = zip(Log._fields, kinds, strict=True)
+    names = zip(FrameLog._fields, kinds, strict=True)
     return tuple((name, size, dtype) for name, (size, dtype) in names)
 
 
@@ -113,7 +113,7 @@ def compile_turn(  # noqa: C901 - the parts of one compiled function
 ) -> Callable[..., tuple[int, int]]:
     """The turn of a form; compiled on the first call, or read from disk.
 
-        turn(parts, explore, first_trial, place, left, key, weights, mixture, box, signals,
+        turn(parts, explore, first_trial, place, left, key, weights, mixture, box, outputs,
              state, log) -> (left, place)
 
     with
@@ -123,11 +123,11 @@ def compile_turn(  # noqa: C901 - the parts of one compiled function
                     ACT: choose actions and log the new frames from ``place`` on
         explore     whether to draw actions; if not, the first action of largest logit, or the mean
         key         Philox key of the action noise
-        weights     from ``networks.arrays``
+        weights     from ``compiled_policies.arrays``
         mixture     [4, 1 or trials] float64: the strategy's weights and temperature
         box         lower and upper bounds of a continuous action, and [log of their volume]
-        signals     observation, reward, terminated, truncated and mask of the lanes
-        state, log  the fields of a ``State`` and of a ``Log``
+        outputs     observation, reward, terminated, truncated and mask of the lanes
+        state, log  the fields of a ``State`` and of a ``FrameLog``
 
     It returns the number of running lanes and the next place.
     """
@@ -135,9 +135,9 @@ def compile_turn(  # noqa: C901 - the parts of one compiled function
     n_features, n_masks = form.n_features, form.n_masks
 
     @kernel_function
-    def record(place, left, signals, state, log):
+    def record(place, left, outputs, state, log):
         """Record the outputs of the lanes; returns the number of those that go on."""
-        _, reward, terminated, truncated, _ = signals
+        _, reward, terminated, truncated, _ = outputs
         kept = 0
         for j in range(left):
             row, frame = state.rows[j], place + j
@@ -153,9 +153,9 @@ def compile_turn(  # noqa: C901 - the parts of one compiled function
         return kept
 
     @kernel_function
-    def observe(place, left, signals, state, log):
-        """Log the observations and masks."""
-        observation, mask = signals[0], signals[4]
+    def observe(place, left, outputs, state, log):
+        """FrameLog the observations and masks."""
+        observation, mask = outputs[0], outputs[4]
         for j in range(left):
             row, frame = state.rows[j], place + j
             x = borrow(observation)[row]
@@ -167,10 +167,10 @@ def compile_turn(  # noqa: C901 - the parts of one compiled function
                 log.mask[frame * n_masks + a] = mask[row, a]
 
     def turn(
-        parts, explore, first_trial, place, left, key, weights, mixture, box, signals, state, log
+        parts, explore, first_trial, place, left, key, weights, mixture, box, outputs, state, log
     ):
         # Not passed as named tuples: numba cannot read its cache after a class has moved.
-        state, log = State(*state), Log(*log)
+        state, log = State(*state), FrameLog(*log)
         if parts & BEGIN:
             for j in range(left):
                 row = state.rows[j]
@@ -180,16 +180,16 @@ def compile_turn(  # noqa: C901 - the parts of one compiled function
                 state.score[row], state.total[row], state.length[row] = 0, 0, 0
         if parts & RECORD:
             went = left
-            left = record(place, left, signals, state, log)
+            left = record(place, left, outputs, state, log)
             place += went
         if parts & (BEGIN | RECORD):
-            observe(place, left, signals, state, log)
+            observe(place, left, outputs, state, log)
         if parts & ACT:
             for j in range(left):
                 act(j, state.rows[j], place + j, explore, weights, mixture, box, state, log)
         return left, place
 
-    inlined = (acting, mixing, networks, arrays, elementary, layers, philox)
+    inlined = (acting, compiled_mixtures, compiled_policies, arrays, elementary, layers, philox)
     return compiled(*inlined, key=form)(turn)
 
 

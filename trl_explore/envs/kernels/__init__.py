@@ -30,7 +30,7 @@ The contract of the functions:
   the stepping collector.
 """
 
-from trl_explore.envs.kernels import bsuite, classic_control, tables
+from trl_explore.envs.kernels import bsuite, classic_control, swing_up, tables
 from trl_explore.envs.kernels.kernel import (
     CompiledEnv,
     Kernel,
@@ -52,6 +52,7 @@ __all__ = [
     "kernel_of",
     "random",
     "register_kernel",
+    "swing_up",
     "tables",
     "tabular",
 ]

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torchrl.envs import EnvBase
 
-from trl_explore.checks import check_number, settle
+from trl_explore.checks import check_number, withdraw
 from trl_explore.objectives.episodes import Episodes, since
 
 
@@ -35,7 +35,7 @@ class Baseline(nn.Module, ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        settle(cls, "learns_from_data", True, ["step"])
+        withdraw(cls, "learns_from_data", True, ["step"])
 
     def bind(self, env: EnvBase) -> None:
         """Allocate for the environment and its number of trials; called before training."""

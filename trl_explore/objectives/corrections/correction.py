@@ -13,7 +13,7 @@ from tensordict.nn import ProbabilisticTensorDictSequential
 from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
-from trl_explore.checks import check_flag, check_number, settle
+from trl_explore.checks import check_flag, check_number, withdraw
 from trl_explore.numerics.layers import lane_sum
 from trl_explore.objectives.episodes import Episodes
 from trl_explore.policies.actor import frame_log_prob
@@ -39,7 +39,7 @@ class NoCorrection:
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        settle(cls, "leaves_returns", False, ["advantage"])
+        withdraw(cls, "leaves_returns", False, ["advantage"])
 
     def actor(
         self, actor: ProbabilisticActor, strategy: BaseStrategy | None = None

@@ -124,7 +124,7 @@ def _mlp_of(module: LaneMLP) -> tuple[Network, list[nn.Parameter]]:
 
 def arrays(network: Network, parameters: Sequence[Tensor]) -> Any:
     """The parameters in the form that the compiled functions take."""
-    values = [parameter.detach().contiguous().numpy() for parameter in parameters]
+    values = [np.ascontiguousarray(parameter.numpy(force=True)) for parameter in parameters]
     if network.kind != "mlp":
         return values[0]
     depth = len(network.layers)

@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import Transform, TransformedEnv
 
 from trl_explore.collectors.collector import EpisodeCollector
-from trl_explore.collectors.compiling import NotCompilableError, has_inverse, has_mask
+from trl_explore.collectors.compilable import NotCompilableError, has_inverse, has_mask
 from trl_explore.collectors.stepping.turn import State
 from trl_explore.collectors.torchrl import Noise
 from trl_explore.envs import lane_env
@@ -47,14 +47,14 @@ class Modules:
             written |= set(module.out_keys)
         if "action" not in written:
             raise NotCompilableError(f"{type(collector.strategy).__name__} has renamed entries")
-        signals = lanes.signals
+        outputs = lanes.outputs
         self.inputs = {
             "trial": torch.arange(trials),
             "observation": torch.from_numpy(observation),
             "step_count": torch.from_numpy(state.length).unsqueeze(-1),
         }
         if lanes.has_masks:
-            self.inputs["action_mask"] = torch.from_numpy(signals.mask)
+            self.inputs["action_mask"] = torch.from_numpy(outputs.mask)
         self.action = torch.from_numpy(state.given).view(trials, -1)
         if collector.strategy.actions == "discrete":
             self.action = self.action.view(trials)
@@ -63,7 +63,7 @@ class Modules:
 
     def begin(self, active: NDArray[np.bool_], episodes: NDArray[np.int64]) -> None:
         """Prepare for the episodes ``episodes`` of the active lanes."""
-        self.collector.lanes.signals.mask[~active] = True  # a strategy refuses an empty mask
+        self.collector.lanes.outputs.mask[~active] = True  # a strategy refuses an empty mask
         self.noise = Noise(self.collector, np.flatnonzero(active), episodes)
 
     def act(self) -> None:
@@ -125,17 +125,17 @@ class Transformed:
 
     def step(self, rows: NDArray[np.int64], action: NDArray[Any]) -> None:
         """Transform the outputs of the lanes after the actions of the lanes ``rows``."""
-        signals, data = self.lanes.signals, self._data
+        outputs, data = self.lanes.outputs, self._data
         self._action.numpy()[rows] = action
         columns = {
-            "observation": torch.from_numpy(signals.observation.copy()),
-            "reward": torch.from_numpy(signals.reward.astype(np.float32)).unsqueeze(-1),
-            "terminated": torch.from_numpy(signals.terminated.copy()).unsqueeze(-1),
-            "truncated": torch.from_numpy(signals.truncated.copy()).unsqueeze(-1),
+            "observation": torch.from_numpy(outputs.observation.copy()),
+            "reward": torch.from_numpy(outputs.reward.astype(np.float32)).unsqueeze(-1),
+            "terminated": torch.from_numpy(outputs.terminated.copy()).unsqueeze(-1),
+            "truncated": torch.from_numpy(outputs.truncated.copy()).unsqueeze(-1),
         }
         columns["done"] = columns["terminated"] | columns["truncated"]
         if self._masked:
-            columns["action_mask"] = torch.from_numpy(signals.mask.copy())
+            columns["action_mask"] = torch.from_numpy(outputs.mask.copy())
         data.set("action", self._action.clone()).set("trial", self._trial)
         after: TensorDictBase = TensorDict._new_unsafe(columns, self._trial.shape)
         for transform in self.transforms:

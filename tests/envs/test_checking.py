@@ -22,7 +22,7 @@ from trl_explore.collectors import (
     TorchRLCollector,
 )
 from trl_explore.envs import LaneVectorEnv, lane_env, make_env
-from trl_explore.envs.probing import check_transforms, remarks
+from trl_explore.envs.checking import check_transforms, remarks
 from trl_explore.policies import LinearPolicy, TabularPolicy
 from trl_explore.strategies import Softmax
 

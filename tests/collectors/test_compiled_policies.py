@@ -19,7 +19,7 @@ from trl_explore.collectors import (
     NotCompilableError,
     TorchRLCollector,
 )
-from trl_explore.collectors.networks import Network, arrays, compile_network, network_of
+from trl_explore.collectors.compiled_policies import Network, arrays, compile_network, network_of
 from trl_explore.envs import make_env
 from trl_explore.envs.kernels import Kernel, kernel_function, register_kernel
 from trl_explore.numerics.compiled.philox import random

@@ -1,8 +1,9 @@
+"""What a job writes, and that it is read back."""
+
 from __future__ import annotations
 
 import json
 import os
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,40 +11,17 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from tests.jobs.written import CONFIG, WEIGHTS, record, write
+from tests.jobs.written import CONFIG, EPISODES_CSV, TRIALS_CSV, WEIGHTS, record, write
 from trl_explore import jobs as results
 from trl_explore.jobs import files, writing
 from trl_explore.jobs.files import ResultsError
-from trl_explore.training.record import Trials
+from trl_explore.training.trials import Trials
 
-TRIALS_CSV = """\
-trial,seed,iterations,converged,score,frames,seconds,status,passed,iterations_to_pass,frames_to_pass
-10,5,3,False,2.5,33,1.500000,diverged,False,3,33
-11,5,2,True,5.6,41,1.000000,converged,True,2,41
-12,5,4,False,4.0,126,2.000000,capped,False,4,126
-"""
-EPISODES_CSV = """\
-trial,iteration,score,frames
-10,1,1.0,10
-11,1,2.0,20
-12,1,3.0,30
-10,2,2.0,11
-11,2,9.2,21
-12,2,4.0,31
-10,3,3.0,12
-12,3,5.0,32
-12,4,3.0,33
-"""
 FILES = ["episodes.csv", "run.json", "scalars", "trials.csv", "weights.safetensors"]
 
 
 def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
-
-
-@pytest.fixture
-def job(tmp_path) -> Path:
-    return write(tmp_path / "thesis" / "epsilon_greedy,epsilon=0.1")
 
 
 def test_the_files_to_the_letter(job):
@@ -242,90 +220,6 @@ def test_leftovers_of_a_killed_job_do_not_get_into_the_curves(job):
     assert results.read_curves(job)["score"].tolist() == record().curves()["score"].tolist()
 
 
-def one_line(error: pytest.ExceptionInfo) -> str:
-    text = str(error.value)
-    assert text
-    assert "\n" not in text
-    return text
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "nonsense\n",
-        "\x00\x01\x02",
-        "a,b,c\n1,2,3\n",
-        TRIALS_CSV.replace("status", "state"),
-        TRIALS_CSV[:-3],  # "cap"
-        TRIALS_CSV[:-18],  # within the seconds
-        TRIALS_CSV[: TRIALS_CSV.rindex("126") + 2],  # within the frames
-        TRIALS_CSV.replace("33,1.5", ",1.5"),
-        TRIALS_CSV.replace("10,5,3", "10,5,3.5"),
-        TRIALS_CSV.replace("10,5,3", "ten,5,3"),
-        TRIALS_CSV.replace("True", "perhaps"),
-        TRIALS_CSV.replace("2.5", "much"),
-        TRIALS_CSV.replace("capped", "stopped"),
-        TRIALS_CSV + "13,5,4,False,4.0,126,2.000000,capped,1,2,3\n",
-        TRIALS_CSV.split("12,5")[0],  # a trial is missing
-        TRIALS_CSV + "13,5,4,False,4.0,126,2.000000,capped\n",  # one too many
-    ],
-)
-def test_a_truncated_or_foreign_table_of_trials(job, text):
-    (job / "trials.csv").write_text(text)
-    with pytest.raises(ResultsError) as error:
-        results.read_job(job)
-    assert "trials.csv" in one_line(error)
-
-
-def test_a_table_of_trials_that_is_no_text(job):
-    (job / "trials.csv").write_bytes(b"\xff\xfe\x9d\x00" * 9)
-    with pytest.raises(ResultsError) as error:
-        results.read_job(job)
-    assert "trials.csv" in one_line(error)
-
-
-@pytest.mark.parametrize(
-    "text", ["", "trial,iteration\n1,2\n", EPISODES_CSV[:-6], "\x00", EPISODES_CSV + "1,2,3,4,5\n"]
-)
-def test_truncated_or_foreign_episodes(job, text):
-    (job / "episodes.csv").write_text(text)
-    with pytest.raises(ResultsError) as error:
-        results.read_episodes(job)
-    assert "episodes.csv" in one_line(error)
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"status": "finished"}', "null", "\x00"])
-def test_a_broken_record(job, text):
-    (job / "run.json").write_text(text)
-    for read in (results.read_run, results.read_job):
-        with pytest.raises(ResultsError) as error:
-            read(job)
-        assert "run.json" in one_line(error)
-
-
-@pytest.mark.parametrize("name", ["trials.csv", "run.json"])
-def test_a_missing_file(job, name):
-    (job / name).unlink()
-    with pytest.raises(ResultsError, match=f"{name}.*missing"):
-        results.read_job(job)
-
-
-def test_missing_curves(job):
-    shutil.rmtree(job / "scalars")
-    with pytest.raises(ResultsError, match="scalars") as error:
-        results.read_curves(job)
-    one_line(error)
-
-
-def test_an_empty_folder(tmp_path):
-    assert results.find_jobs(tmp_path) == []
-    assert results.read_jobs([tmp_path]) == []
-    assert results.read_frame([tmp_path]).empty
-    with pytest.raises(ResultsError):
-        results.read_job(tmp_path)
-
-
 def test_the_columns_are_those_of_the_documentation():
     assert tuple(results.TRIAL_COLUMNS) == (
         "trial", "seed", "iterations", "converged", "score", "frames", "seconds", "status",
@@ -350,46 +244,6 @@ def test_weights_are_read_back(job):
         results.read_weights(job)
 
 
-@pytest.mark.parametrize("cut", ["row", "number"])
-def test_truncated_episodes_are_noticed(job, cut):
-    path = job / "episodes.csv"
-    assert len(results.read_episodes(job))
-    text = path.read_text()
-    shorter = text[: text.rstrip("\n").rindex("\n") + 1] if cut == "row" else text[:-2] + "\n"
-    path.write_text(shorter)
-    with pytest.raises(results.ResultsError, match=r"episodes\.csv"):
-        results.read_episodes(job)
-
-
-def test_damaged_curves_are_one_line(job):
-    path = job / "scalars" / "score.csv"
-    path.write_text(path.read_text().replace("\n", "\nx,", 1))
-    with pytest.raises(results.ResultsError, match="scalars"):
-        results.read_curves(job)
-
-
-@pytest.mark.parametrize("key", ["versions", "machine"])
-def test_an_incomplete_record_is_one_line(job, key):
-    run = json.loads((job / "run.json").read_text())
-    del run[key]
-    (job / "run.json").write_text(json.dumps(run))
-    with pytest.raises(results.ResultsError, match=key):
-        results.read_job(job)
-
-
-OLD = "\n".join(",".join(line.split(",")[:8]) for line in TRIALS_CSV.splitlines()) + "\n"
-
-
-def test_files_without_the_columns_of_the_measures_are_read(job):
-    """Files of an older version: a trial stopped when it passed."""
-    (job / "trials.csv").write_text(OLD)
-    (job / "run.json").write_text(json.dumps({**results.read_run(job), "files": {}}))
-    outcomes = results.read_job(job)
-    assert outcomes.passed is outcomes.converged
-    assert outcomes.iterations_to_pass is outcomes.iterations
-    assert outcomes.learned is None
-
-
 LEARNED = {
     "learned": np.array([False, True, True]),
     "iterations_to_learn": np.array([3, 2, 0]),
@@ -409,23 +263,6 @@ def test_what_was_learned_is_written_and_read_back(tmp_path):
     assert (outcomes.passed == [False, True, False]).all()
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "complaint"),
-    [
-        (",True,2,41", ",True,3,41", "iterations_to_pass contradicts passed or iterations"),
-        (",False,3,33", ",False,2,33", "iterations_to_pass contradicts"),
-        (",True,2,41", ",True,2,42", "frames_to_pass contradicts passed or frames"),
-        (",True,2,41", ",maybe,2,41", "column passed holds 'maybe'"),
-        (",iterations_to_pass", ",other", "missing column: iterations_to_pass"),
-    ],
-)
-def test_measures_that_contradict_the_trials_are_refused(job, old, new, complaint):
-    path = job / "trials.csv"
-    path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(ResultsError, match=complaint):
-        results.read_trials(job)
-
-
 def test_a_job_that_is_being_cleared_is_first_of_all_unfinished(tmp_path, monkeypatch):
     job = write(tmp_path / "job")
     unlink, left = Path.unlink, [1]
@@ -440,29 +277,3 @@ def test_a_job_that_is_being_cleared_is_first_of_all_unfinished(tmp_path, monkey
     with pytest.raises(OSError, match="killed"):
         writing.clear(job)
     assert not results.is_finished(job)
-
-
-ABSURD = {
-    "trials": [0, -1, 2.5, "3"],
-    "seconds": [-1, float("inf"), float("nan"), "x", None],
-    "seed": [-1, 10**30],
-    "config.score_window": [0, -3, "x", 10**30, None, 2.5, True],
-    "config.max_iterations": [0, -5, "many", 10**30, 1e400],
-    "config.score_threshold": ["x", float("nan"), float("inf"), None],
-    "config.episodes_per_update": [0, "x", 10**30],
-    "config.evaluate_episodes": [0, 10**9, "x"],
-    "config.first_trial": [-1, "x"],
-}
-
-
-@pytest.mark.parametrize("key", ABSURD)
-def test_absurd_values_in_a_record_are_one_line(job, key):
-    path, text = job / "run.json", (job / "run.json").read_text()
-    for value in ABSURD[key]:
-        run = json.loads(text)
-        *within, name = key.split(".")
-        (run["config"] if within else run)[name] = value
-        path.write_text(json.dumps(run))
-        with pytest.raises(ResultsError, match=rf"run\.json: .*{name} is") as error:
-            results.read_job(job)
-        one_line(error)

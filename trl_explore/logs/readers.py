@@ -1,4 +1,4 @@
-"""The runs of any number of folders, with the same quantity of each."""
+"""The readers by name, and the runs of any number of folders, with the same quantity of each."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import numpy as np
 from trl_explore.jobs.files import ResultsError
 from trl_explore.logs import csv_files as files
 from trl_explore.logs import sb3, tensorboard
+from trl_explore.logs.identify import identify, identify_by, labels
 from trl_explore.logs.log import Curve, Log, clean
-from trl_explore.logs.naming import identify, identify_by, labels
 
 
 class Reader(NamedTuple):

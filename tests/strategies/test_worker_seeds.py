@@ -18,7 +18,7 @@ from tests.strategies.samples import cartpole, network
 from trl_explore.strategies import (
     EpsilonGreedy,
     Random,
-    workers,
+    worker_seeds,
 )
 from trl_explore.strategies.schedules import Linear
 
@@ -82,7 +82,7 @@ def send_actions(strategy, pipe):
 
 @pytest.mark.filterwarnings("ignore:.*fork.*")
 def test_without_a_strategy_a_fork_leaves_torchs_generator_alone(monkeypatch):
-    monkeypatch.setattr(workers, "_strategies", WeakSet())
+    monkeypatch.setattr(worker_seeds, "_strategies", WeakSet())
     before = torch.get_rng_state()
     child = os.fork()
     if child == 0:

@@ -161,7 +161,10 @@ class Trials:
         return learned[trial] if self.stop_on == "learned" else (learned & self.passed)[trial]
 
     def _enter(self, episodes: _Episodes, seconds: float) -> float:
-        """Record the episodes of an iteration; returns the highest final score of their trials."""
+        """Record the episodes of an iteration; returns the highest final score of their trials.
+
+        The loop over the rows knows it, and in most iterations it shows that none has passed.
+        """
         self._episodes.append(episodes)
         trial, scores, frames = episodes
         columns = scores.reshape(len(trial), -1)

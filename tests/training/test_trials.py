@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trl_explore.training.record import Trials
+from trl_explore.training.trials import Trials
 
 
 def enter(trials: Trials, scores: list[float], diverged=None, frames=None, seconds=0.0) -> None:

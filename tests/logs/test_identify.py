@@ -5,7 +5,7 @@ import re
 import pytest
 
 from trl_explore.jobs.files import ResultsError
-from trl_explore.logs.naming import Identity, identify, identify_by, labels
+from trl_explore.logs.identify import Identity, identify, identify_by, labels
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
 
 from trl_explore.checks import first_line
-from trl_explore.envs.copies import Copies, EnvError, Signals
+from trl_explore.envs.copies import Copies, EnvError, Outputs
 from trl_explore.envs.flattening import shown
 from trl_explore.envs.make import lane_env, make_env
 from trl_explore.envs.vector import LaneVectorEnv
@@ -40,7 +40,7 @@ def remarks(lanes: LaneVectorEnv) -> list[str]:
     lines: list[str] = []
     flat = isinstance(env.observation_space, Box) and len(env.observation_space.shape) == 1
     if not flat and not isinstance(env.observation_space, Discrete):
-        n_features = lanes.signals.observation.shape[1]
+        n_features = lanes.outputs.observation.shape[1]
         lines.append(f"observations: {shown(env.observation_space)} as {n_features} numbers")
     if isinstance(env.action_space, MultiDiscrete | MultiBinary):
         n_actions = cast(Discrete, lanes.single_action_space).n
@@ -75,7 +75,7 @@ def _fault_of(lanes: LaneVectorEnv) -> str | None:
     copies = Copies(
         lanes.id,
         lanes.make,
-        Signals.of(2, lanes.signals.observation.shape[1], lanes.signals.mask.shape[1]),
+        Outputs.of(2, lanes.outputs.observation.shape[1], lanes.outputs.mask.shape[1]),
     )
     before = _global_states()
     try:
@@ -108,24 +108,24 @@ def _fault_of(lanes: LaneVectorEnv) -> str | None:
 
 
 def _episode(lanes: LaneVectorEnv, copies: Copies) -> list[list[NDArray[Any]]]:
-    """The signals of the first episode in two copies, step by step, with random actions."""
-    signals, draws = copies.signals, np.random.default_rng(0)
+    """The outputs of the first episode in two copies, step by step, with random actions."""
+    outputs, draws = copies.outputs, np.random.default_rng(0)
     copies.reset([0, 1], [lanes.first_trial] * 2, [0, 0], lanes.seed, lanes.stream)
-    seen = [[column.copy() for column in signals]]
+    seen = [[column.copy() for column in outputs]]
     for _ in range(STEPS):
-        if signals.terminated.any() or signals.truncated.any():
+        if outputs.terminated.any() or outputs.truncated.any():
             break
-        copies.step([0, 1], np.repeat(_action(lanes, signals, draws), 2, 0))
-        seen.append([column.copy() for column in signals])
+        copies.step([0, 1], np.repeat(_action(lanes, outputs, draws), 2, 0))
+        seen.append([column.copy() for column in outputs])
     return seen
 
 
-def _action(lanes: LaneVectorEnv, signals: Signals, draws: np.random.Generator) -> Any:
+def _action(lanes: LaneVectorEnv, outputs: Outputs, draws: np.random.Generator) -> Any:
     """A random action [1] or [1, n_dims] that the mask allows."""
     space = lanes.single_action_space
     if isinstance(space, Discrete):
         n = int(space.n)
-        allowed = np.flatnonzero(signals.mask[0]) if lanes.has_masks else np.arange(n)
+        allowed = np.flatnonzero(outputs.mask[0]) if lanes.has_masks else np.arange(n)
         return draws.choice(allowed if len(allowed) else n, 1)
     return draws.uniform(-1, 1, (1, *(space.shape or ()))).astype(np.float32)
 
@@ -226,7 +226,7 @@ def _play(env: TransformedEnv) -> list[TensorDictBase]:
         nonlocal steps, ends
         steps += 1
         LaneVectorEnv.advance(lanes, lanes_, actions)
-        ends = {name: getattr(lanes.signals, name).copy() for name in ("terminated", "truncated")}
+        ends = {name: getattr(lanes.outputs, name).copy() for name in ("terminated", "truncated")}
 
     ends: dict[str, NDArray[np.bool_]] = {}
     lanes.advance = advance  # pyright: ignore
