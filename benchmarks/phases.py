@@ -41,8 +41,7 @@ def wrapped(trainer: Trainer, clock: Clock) -> Iterator[None]:
     """Time the parts of ``trainer`` within this context."""
     parts = (
         (trainer.collector, "collect", "collect"),
-        (trainer.loss, "backward", "loss"),
-        (trainer.loss, "step", "loss"),
+        (trainer, "_backward", "loss"),
         (trainer.optimizer, "zero_grad", "optimiser"),
         (trainer.optimizer, "step", "optimiser"),
         (trainer, "_diverged", "check"),

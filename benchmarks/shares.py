@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from trl_explore.jobs.reading import read_job
-from trl_explore.report.crossings import Run, crossings
+from trl_explore.report.crossings import Cell, crossings
 from trl_explore.statistics.decomposition import Cells, aligned, share_of
 from trl_explore.statistics.outcomes import judged
 
@@ -30,7 +30,7 @@ def shares(cells: Cells) -> tuple:
 def main(folder: Path) -> None:
     """Print the table as Markdown."""
     found = [read_job(file.parent) for file in sorted(folder.rglob("run.json"))]
-    runs = [Run(str(o.config["env"]["id"]), o, judged(o, "learned")) for o in found]
+    runs = [Cell(str(o.config["env"]["id"]), o, judged(o, "learned")) for o in found]
     draws = np.random.default_rng(0)
     print("| strategy | n | data of softmax | data of the strategy | both |")
     print("|---|---:|---:|---:|---:|")

@@ -76,7 +76,7 @@ def collect(collector: EpisodeCollector) -> tuple[int, float, list[tuple[int, in
         data = collector.collect().frames
         seconds += time.process_time() - started
         frames += len(data)
-        trial, action = data["trial"].numpy(), data["action"].numpy()
+        trial, action = data.get("trial").numpy(), data.get("action").numpy()
         for k in range(collector.trials):
             own = action[trial == k]
             sent = own.tolist() if own.ndim == 1 else list(np.clip(own, space.low, space.high))

@@ -24,7 +24,6 @@ from trl_explore.config.files import (
     search_in,
     strategies_of,
 )
-from trl_explore.config.nodes import save_work
 
 ABSENT = object()
 """The default of a key that ``conf/`` does not have."""
@@ -32,7 +31,6 @@ ABSENT = object()
 
 def register_resolvers() -> None:
     """Register ``${sweep_folder:}``, ``${job_name:}`` and ``${commented_config:}``."""
-    save_work()
     OmegaConf.register_new_resolver("sweep_folder", _sweep_folder, replace=True)
     OmegaConf.register_new_resolver("job_name", _job_name, replace=True)
     OmegaConf.register_new_resolver("commented_config", _commented_config, replace=True)

@@ -29,7 +29,7 @@ _texts: dict[tuple[tuple[str, ...], str, str], str] = {}
 
 @cache
 def save_work() -> None:
-    """Change OmegaConf in this process."""
+    """Change OmegaConf in this process. Only the command that runs sweeps does so."""
     base.parse = lru_cache(PARSED)(base.parse)  # pyright: ignore[reportPrivateImportUsage]
     for kind in (Metadata, ContainerMetadata):
         kind.__deepcopy__ = _copied  # pyright: ignore[reportAttributeAccessIssue]
