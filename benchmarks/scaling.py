@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 from plan import SIZES, Measured
 
-from trl_explore.report.formats import to_png, to_svg
+from trl_explore.report.image_files import to_png, to_svg
 from trl_explore.report.style import FURTHER, INK, KNOWN, WIDTH, visual_language
 
 LINES = (

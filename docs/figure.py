@@ -9,7 +9,7 @@ from trl_explore.jobs.reading import find_jobs, read_job
 from trl_explore.names import STRATEGIES, strategy_label
 from trl_explore.report.figures.axes import handle, legend_above, new_figure, plain_numbers
 from trl_explore.report.figures.survival import Row, plot_survival
-from trl_explore.report.formats import inline_svg, theme_css, to_svg
+from trl_explore.report.image_files import inline_svg, theme_css, to_svg
 from trl_explore.report.style import KNOWN, visual_language
 from trl_explore.statistics.outcomes import Outcomes, convergence_times, judged
 from trl_explore.statistics.survival import kaplan_meier

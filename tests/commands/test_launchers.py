@@ -14,7 +14,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from trl_explore.config import CONF, sweeping
-from trl_explore.jobs import sweeps
+from trl_explore.jobs import sweep_files
 from trl_explore.jobs.console import Progress
 from trl_explore.jobs.lock import Lock
 
@@ -106,9 +106,9 @@ def test_the_end_of_the_sweep_tells_the_same(serial, parallel):
 
 def test_a_failure_is_recorded_until_it_is_mended(serial, parallel):
     for _, sweep in (serial, parallel):
-        (reason,) = sweeps.read_failures(sweep).values()
+        (reason,) = sweep_files.read_failures(sweep).values()
         assert WRONG.match(reason)
-        assert len(sweeps.read_asked(sweep)) == 3
+        assert len(sweep_files.read_asked(sweep)) == 3
 
 
 @pytest.mark.skipif(not installed(PLUGINS["joblib"]), reason="the extra is not installed")
@@ -136,7 +136,7 @@ def sweep_of(folder: Path, *names: str) -> sweeping.Sweep:
     """The callback after it has planned jobs of these names."""
     sweep = sweeping.Sweep()
     sweep.place, sweep.folders = folder, [folder / name for name in names]
-    sweeps.begin_sweep(folder, list(dict.fromkeys(names)))
+    sweep_files.begin_sweep(folder, list(dict.fromkeys(names)))
     return sweep
 
 
@@ -161,7 +161,7 @@ def test_a_launcher_that_breaks_loses_no_finished_job(tmp_path, capsys):
 
     def launch():
         finish(tmp_path / "a")
-        sweeps.record_failure(tmp_path / "b", "wrong")
+        sweep_files.record_failure(tmp_path / "b", "wrong")
         raise RuntimeError("a worker was killed\nmore")
 
     ended = collect(sweep_of(tmp_path, *"abc"), launch)
@@ -172,7 +172,7 @@ def test_a_launcher_that_breaks_loses_no_finished_job(tmp_path, capsys):
     ]
     assert "RuntimeError: a worker was killed" in ended[2].error
     assert [line.split(":")[1] for line in capsys.readouterr().err.splitlines()] == [" b", " c"]
-    assert sweeps.read_asked(tmp_path) == ["a", "b", "c"]
+    assert sweep_files.read_asked(tmp_path) == ["a", "b", "c"]
 
 
 def test_a_job_without_a_word_is_in_use_or_was_cut_off(tmp_path, capsys):

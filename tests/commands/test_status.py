@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from trl_explore.commands import main, status
-from trl_explore.jobs import sweeps
+from trl_explore.jobs import sweep_files
 from trl_explore.jobs.checkpoint import Store, pack
 from trl_explore.jobs.files import ResultsError
 from trl_explore.jobs.lock import Lock
 from trl_explore.jobs.reading import find_jobs, read_run
 from trl_explore.jobs.signals import Interrupted
-from trl_explore.jobs.status import report, survey
+from trl_explore.jobs.status import status_lines, survey
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "status.py"
 REASON = "epsilon must be a number in [0, 1], got 2"
@@ -46,10 +46,10 @@ def sweep(tmp_path) -> Path:
     finish(sweep / "done")
     begin(sweep / "running", 100, 300, 200)
     begin(sweep / "cut", 450)
-    sweeps.record_failure(begin(sweep / "f1", 50), "the disk is full")
-    sweeps.record_failure(sweep / "f2", REASON)
-    sweeps.record_failure(sweep / "done", "of an earlier attempt")
-    sweeps.begin_sweep(sweep, ["done", "running", "cut", "f1", "f2", "l1", "l2"])
+    sweep_files.record_failure(begin(sweep / "f1", 50), "the disk is full")
+    sweep_files.record_failure(sweep / "f2", REASON)
+    sweep_files.record_failure(sweep / "done", "of an earlier attempt")
+    sweep_files.begin_sweep(sweep, ["done", "running", "cut", "f1", "f2", "l1", "l2"])
     return sweep
 
 
@@ -72,7 +72,7 @@ def test_every_state(sweep):
 
 def test_the_text(sweep):
     with Lock(sweep / "running"):
-        lines = report(survey([sweep])[0]).splitlines()
+        lines = status_lines(survey([sweep])[0]).splitlines()
     assert lines[0] == f"{sweep}: 1 of 7 done, 1 running, 2 failed, 3 left (1 of them cut off)"
     assert [line.split() for line in lines[1:]] == [
         ["job", "state", "iterations", "passed", "learned", "seconds"],
@@ -91,10 +91,10 @@ def test_what_a_finished_job_has_passed_and_learned(sweep):
     lines = [f"{header},frames_to_learn,learned_score", "0,True,1,9,False,5,99,2.5"]
     lines += ["1,True,2,9,True,5,99,9.5", "2,False,5,99,False,5,99,2.5"]
     (sweep / "done" / "trials.csv").write_text("\n".join(lines) + "\n")
-    (line,) = [x for x in report(survey([sweep])[0]).splitlines() if x.split()[0] == "done"]
+    (line,) = [x for x in status_lines(survey([sweep])[0]).splitlines() if x.split()[0] == "done"]
     assert line.split() == ["done", "done", "1,000", "2", "of", "3", "1", "of", "3", "2.5"]
     (sweep / "done" / "trials.csv").write_text("\n".join([header, lines[1]]) + "\n")
-    assert "–" in report(survey([sweep])[0]).splitlines()[3]
+    assert "–" in status_lines(survey([sweep])[0]).splitlines()[3]
 
 
 @pytest.mark.parametrize("terminal", [True, False])
@@ -129,8 +129,8 @@ def test_many_finished_jobs_are_only_counted(tmp_path):
         finish(tmp_path / "s" / str(k))
     begin(tmp_path / "s" / "cut", 1)
     (found,) = survey([tmp_path])
-    assert [line.split()[0] for line in report(found).splitlines()[2:]] == ["cut"]
-    assert len(report(found, everything=True).splitlines()) == 2 + 51
+    assert [line.split()[0] for line in status_lines(found).splitlines()[2:]] == ["cut"]
+    assert len(status_lines(found, everything=True).splitlines()) == 2 + 51
 
 
 def test_any_folders(sweep, tmp_path):
@@ -159,7 +159,7 @@ def test_what_is_not_legible_is_not_known(sweep, text):
     assert (jobs["done"].iterations, jobs["done"].seconds) == (None, None)
     assert (jobs["cut"].state, jobs["cut"].iterations) == ("cut off", None)
     assert "reason" in jobs["f1"].reason
-    assert "Traceback" not in report(found)
+    assert "Traceback" not in status_lines(found)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
@@ -178,8 +178,8 @@ def test_names_from_files_are_no_paths_and_move_no_cursor(tmp_path):
     (sweep / "sweep.json").write_text(json.dumps({"jobs": names}))
     (found,) = survey([sweep])
     assert [job.name for job in found.jobs] == ["a", "fine", "red\033[31m"]
-    assert "red?[31m" in report(found)
-    assert "\033" not in report(found)
+    assert "red?[31m" in status_lines(found)
+    assert "\033" not in status_lines(found)
 
 
 def test_links_are_not_followed(tmp_path):
@@ -220,36 +220,36 @@ def test_the_command_needs_neither_torch_nor_pandas(sweep, tmp_path):
 
 
 def test_an_earlier_sweep_that_is_not_done_stays_listed(tmp_path):
-    sweeps.begin_sweep(tmp_path, [])
+    sweep_files.begin_sweep(tmp_path, [])
     finish(tmp_path / "a")
-    sweeps.begin_sweep(tmp_path, ["a", "b"])
-    sweeps.begin_sweep(tmp_path, ["c"])
-    assert sweeps.read_asked(tmp_path) == ["c", "b"]
+    sweep_files.begin_sweep(tmp_path, ["a", "b"])
+    sweep_files.begin_sweep(tmp_path, ["c"])
+    assert sweep_files.read_asked(tmp_path) == ["c", "b"]
     finish(tmp_path / "b")
-    sweeps.end_sweep(tmp_path)
-    assert sweeps.read_asked(tmp_path) == ["c", "b"]
+    sweep_files.end_sweep(tmp_path)
+    assert sweep_files.read_asked(tmp_path) == ["c", "b"]
     finish(tmp_path / "c")
-    sweeps.end_sweep(tmp_path)
+    sweep_files.end_sweep(tmp_path)
     assert not (tmp_path / "sweep.json").exists()
 
 
 def test_a_sweep_of_which_nothing_could_begin_leaves_no_folder(tmp_path):
     sweep = tmp_path / "s"
     sweep.mkdir()
-    sweeps.begin_sweep(sweep, ["a"])
+    sweep_files.begin_sweep(sweep, ["a"])
     (sweep / "multirun.yaml").write_text("")
-    sweeps.record_failure(sweep / "a", "wrong")
-    sweeps.end_sweep(sweep)
+    sweep_files.record_failure(sweep / "a", "wrong")
+    sweep_files.end_sweep(sweep)
     assert not sweep.exists()
 
 
 def test_a_failure_is_forgotten_when_the_job_is_finished(tmp_path):
-    sweeps.record_failure(tmp_path / "a", "wrong")
-    sweeps.record_failure(tmp_path / "b", "wrong too")
-    sweeps.forget_failure(tmp_path / "a")
-    assert sweeps.read_failures(tmp_path) == {"b": "wrong too"}
-    sweeps.forget_failure(tmp_path / "b")
-    sweeps.forget_failure(tmp_path / "b")
+    sweep_files.record_failure(tmp_path / "a", "wrong")
+    sweep_files.record_failure(tmp_path / "b", "wrong too")
+    sweep_files.forget_failure(tmp_path / "a")
+    assert sweep_files.read_failures(tmp_path) == {"b": "wrong too"}
+    sweep_files.forget_failure(tmp_path / "b")
+    sweep_files.forget_failure(tmp_path / "b")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -296,8 +296,8 @@ def test_only_the_temporary_files_of_ended_processes_are_removed(tmp_path):
     kept, left = (tmp_path / f".{pid}.sweep.json.tmp" for pid in (os.getppid(), ended.pid))
     kept.touch()
     left.touch()
-    sweeps.begin_sweep(tmp_path, ["a job"])
-    sweeps.end_sweep(tmp_path)
+    sweep_files.begin_sweep(tmp_path, ["a job"])
+    sweep_files.end_sweep(tmp_path)
     assert kept.exists()
     assert not left.exists()
 

@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 from trl_explore import config as configuration
 from trl_explore.config import sweeping
 from trl_explore.config.files import CONF
-from trl_explore.config.plugins import Composer
+from trl_explore.config.hydra_plugins import Composer
 
 JOBS = [
     "",

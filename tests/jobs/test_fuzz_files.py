@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from trl_explore import jobs as results
 from trl_explore.jobs.files import ResultsError
-from trl_explore.jobs.status import report, survey
-from trl_explore.report.build import build_report
+from trl_explore.jobs.status import status_lines, survey
 from trl_explore.report.loading import load
+from trl_explore.report.writing import build_report
 
 EXAMPLES = int(os.environ.get("TRL_EXPLORE_FUZZ", "120"))
 FILES = ["trials.csv", "episodes.csv", "run.json", "weights.safetensors", "scalars/score.csv"]
@@ -138,7 +138,7 @@ def check(folder: Path, whole: Path) -> None:
             name: w.shape for name, w in results.read_weights(whole).items()
         }
     read(folder, results.read_curves)
-    assert report(survey([folder])[0])
+    assert status_lines(survey([folder])[0])
     loaded = read(folder, lambda path: load([path]))
     assert loaded is None or len(loaded.jobs) == 1
     assert len(expected) == 3

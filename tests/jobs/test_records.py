@@ -9,8 +9,8 @@ import pytest
 from trl_explore.jobs.files import ResultsError
 from trl_explore.jobs.reading import read_job
 from trl_explore.jobs.records import read_diagnostics, read_episodes, read_evaluations
+from trl_explore.training.diagnostic_quantities import DIAGNOSTIC_COLUMNS
 from trl_explore.training.diagnostics import COLUMNS
-from trl_explore.training.quantities import DIAGNOSTIC_COLUMNS
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from trl_explore.jobs.reading import read_job
-from trl_explore.report import formats
+from trl_explore.report import image_files
 from trl_explore.statistics.outcomes import Outcomes
-from trl_explore.training.quantities import DIAGNOSTIC_COLUMNS
+from trl_explore.training.diagnostic_quantities import DIAGNOSTIC_COLUMNS
 
 
 def write_job(
@@ -115,7 +115,7 @@ def only_svg() -> Iterator[None]:
     """Figures as PNG and PDF take most of the time of a report; ``test_render`` draws them."""
     with pytest.MonkeyPatch.context() as patch:
         for name in ("to_png", "to_pdf"):
-            patch.setattr(formats, name, lambda figure: b"")
+            patch.setattr(image_files, name, lambda figure: b"")
         yield
 
 
@@ -184,7 +184,7 @@ class Made(NamedTuple):
 @pytest.fixture(scope="session")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     """The report on the miniature study."""
-    from trl_explore.report.build import build_report
+    from trl_explore.report.writing import build_report
 
     study = write_study(tmp_path_factory.mktemp("study"))
     out = tmp_path_factory.mktemp("out")

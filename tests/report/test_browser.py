@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from trl_explore.report.build import build_report
+from trl_explore.report.writing import build_report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trl_explore.report.build import build_report
 from trl_explore.report.crossings import Cell, crossings
 from trl_explore.report.curves import Heights
 from trl_explore.report.decomposition import decompose
 from trl_explore.report.figures import draw_why
 from trl_explore.report.study_file import StudyFile
 from trl_explore.report.why import decomposition_tables, headline
+from trl_explore.report.writing import build_report
 from trl_explore.statistics.outcomes import judged
 
 EPSILON, T = {"epsilon": 0.3}, {"temperature": 1.0}

@@ -9,9 +9,9 @@ import yaml
 
 from trl_explore.config import CONF
 from trl_explore.names import EXPERIMENTS
-from trl_explore.report.build import build_report
 from trl_explore.report.groups import group_jobs
 from trl_explore.report.loading import load
+from trl_explore.report.writing import build_report
 
 NAMES = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 LAYOUTS = {

@@ -2,12 +2,12 @@ import re
 
 import numpy as np
 
-from trl_explore.report.build import build_report
 from trl_explore.report.curves import running_means
 from trl_explore.report.evidence import gather
 from trl_explore.report.groups import group_jobs
 from trl_explore.report.loading import load
 from trl_explore.report.page import group_facts
+from trl_explore.report.writing import build_report
 
 
 def test_different_caps_stand_in_one_report_but_are_not_compared(tmp_path, make_job):

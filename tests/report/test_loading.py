@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from trl_explore.jobs.files import ResultsError
-from trl_explore.report.build import build_report
 from trl_explore.report.loading import UNFINISHED, load
+from trl_explore.report.writing import build_report
 
 WITHOUT_TORCH = """
 import runpy, sys

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from trl_explore.report.build import build_report
 from trl_explore.report.page import episodes_per_iteration
+from trl_explore.report.writing import build_report
 from trl_explore.thesis import CLAIMS
 
 EVIL = '<script>alert("x")</script>'

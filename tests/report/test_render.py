@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from trl_explore.report.formats import to_pdf, to_png, to_svg
+from trl_explore.report.image_files import to_pdf, to_png, to_svg
 from trl_explore.report.style import visual_language
 
 

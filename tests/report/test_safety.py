@@ -13,8 +13,8 @@ from omegaconf import OmegaConf
 from trl_explore.config import composing, job_name, register_resolvers
 from trl_explore.jobs.files import ResultsError
 from trl_explore.jobs.reading import find_folders, find_jobs
-from trl_explore.report.build import build_report
 from trl_explore.report.loading import load
+from trl_explore.report.writing import build_report
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted(

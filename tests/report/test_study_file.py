@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from trl_explore.jobs.files import ResultsError
-from trl_explore.report.build import build_report
 from trl_explore.report.evidence import Evidence, gather
 from trl_explore.report.loading import load
 from trl_explore.report.methods import paragraph
 from trl_explore.report.study_file import read_study
+from trl_explore.report.writing import build_report
 from trl_explore.thesis import FAILS, HOLDS, NOT_MEASURED, Claim
 
 FAST = [150 + k for k in range(20)]

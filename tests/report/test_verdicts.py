@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from trl_explore.report import verdicts
-from trl_explore.report.build import build_report
 from trl_explore.report.evidence import gather
-from trl_explore.report.formats import FIXED, inline_svg, theme_css
+from trl_explore.report.image_files import FIXED, inline_svg, theme_css
 from trl_explore.report.loading import load
+from trl_explore.report.writing import build_report
 
 
 @pytest.fixture(scope="module")

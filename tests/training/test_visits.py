@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict
 
 from trl_explore.envs import make_env
-from trl_explore.training.quantities import BINS, PLANES
+from trl_explore.training.diagnostic_quantities import BINS, PLANES
 from trl_explore.training.snapshots import Snapshots, Visits
 
 

@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from trl_explore import config as configuration
 from trl_explore import jobs as results
 from trl_explore.commands.main import TRACEBACK
-from trl_explore.config import ConfigError, objective, sweeping
+from trl_explore.config import ConfigError, sweeping, tuning_value
 from trl_explore.config.sweeping import Process
 from trl_explore.jobs import signals
 from trl_explore.jobs.checkpoint import FOLDER as CHECKPOINT
@@ -69,8 +69,8 @@ def run(config: DictConfig) -> float | list[float] | None:
         end_interrupted(folder, error)
     else:
         sweeping.end_job(folder)
-        return objective.returned(config, folder)
-    return objective.returned(config, None)
+        return tuning_value.returned(config, folder)
+    return tuning_value.returned(config, None)
 
 
 def end_interrupted(folder: Path, error: KeyboardInterrupt) -> None:

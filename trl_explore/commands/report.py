@@ -15,8 +15,8 @@ from trl_explore.jobs.files import ResultsError
 from trl_explore.logs.csv_files import USUAL
 from trl_explore.logs.measures import tasks
 from trl_explore.logs.readers import READERS, read_runs
-from trl_explore.report.build import build_report
 from trl_explore.report.study_file import THESIS, StudyFile, read_study
+from trl_explore.report.writing import build_report
 
 STUDIES = (".yaml", ".yml")
 PROGRAM = "import sys; from trl_explore.commands.main import main; sys.exit(main(sys.argv[1:]))"
@@ -148,7 +148,7 @@ def _report_logs(arguments: argparse.Namespace, out: Path) -> Path | None:
     columns, pattern = _columns(arguments.column), _pattern(arguments.pattern)
     if arguments.window is not None and arguments.window < 1:
         raise ResultsError(f"--window must be an integer >= 1, got {arguments.window}")
-    from trl_explore.report.logs import build_page, groups_table, runs_table
+    from trl_explore.report.other_programs import build_page, groups_table, runs_table
 
     runs, others = read_runs(arguments.source, arguments.folders, columns=columns, pattern=pattern)
     print(f"score: {runs[0].score}; steps: {runs[0].step}")

@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 
 from trl_explore.commands import train
 from trl_explore.config import ConfigError
-from trl_explore.jobs.sweeps import LOOKS, VERDICTS
+from trl_explore.jobs.sweep_files import LOOKS, VERDICTS
 from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import LEVEL, check_level
 from trl_explore.statistics.outcomes import Outcomes, judged

@@ -10,7 +10,7 @@ from shutil import get_terminal_size
 
 from trl_explore.jobs.console import tell
 from trl_explore.jobs.files import ResultsError, flaws
-from trl_explore.jobs.status import DONE, RUNNING, SHOWN, SweepStatus, report, survey
+from trl_explore.jobs.status import DONE, RUNNING, SHOWN, SweepStatus, status_lines, survey
 
 EVERY = 2.0
 """Seconds between two looks of ``--watch``."""
@@ -42,7 +42,7 @@ def main() -> int:
             watch(arguments.folders, everything=arguments.all)
             return 0
         for sweep in survey(arguments.folders):
-            print(report(sweep, everything=arguments.all))
+            print(status_lines(sweep, everything=arguments.all))
             if arguments.verify:
                 changed += verify(sweep)
     except ResultsError as error:
@@ -59,7 +59,7 @@ def watch(folders: list[Path], *, everything: bool = False) -> None:
     before: dict[Path, str] = {}
     while True:
         sweeps = survey(folders)
-        texts = {sweep.folder: report(sweep, everything=everything) for sweep in sweeps}
+        texts = {sweep.folder: status_lines(sweep, everything=everything) for sweep in sweeps}
         if sys.stdout.isatty():
             width, height = get_terminal_size()
             lines = "\n".join(texts.values()).splitlines()[: height - 1]

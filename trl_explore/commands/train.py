@@ -17,7 +17,7 @@ from hydra.errors import HydraException
 from trl_explore import config as configuration
 from trl_explore.commands.job import EXPECTED, run
 from trl_explore.commands.main import TRACEBACK
-from trl_explore.config import CONF, ConfigError, objective, sweeping
+from trl_explore.config import CONF, ConfigError, sweeping, tuning_value
 from trl_explore.config.files import check_folder
 from trl_explore.config.nodes import save_work
 from trl_explore.jobs import signals
@@ -119,7 +119,7 @@ def sweep() -> int:
     failed = [job for job in jobs if job.error]
     if finished:
         show(finished)
-        if text := objective.best(finished[0].parent):
+        if text := tuning_value.best(finished[0].parent):
             print(text)
     if len(jobs) > 1 and failed:
         print(f"{len(failed)} of {len(jobs)} jobs failed:", file=sys.stderr)

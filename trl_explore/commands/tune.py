@@ -15,7 +15,7 @@ from trl_explore import config as configuration
 from trl_explore.commands import train
 from trl_explore.commands.settle import run_jobs
 from trl_explore.config import ConfigError
-from trl_explore.config.objective import measured, objective
+from trl_explore.config.tuning_value import measured, objective
 from trl_explore.statistics.comparisons import ITERATIONS, SCORE, Measure
 from trl_explore.statistics.outcomes import Outcomes, judged
 

@@ -14,7 +14,7 @@ from trl_explore.config.checking import (
     unreadable,
 )
 from trl_explore.config.files import CONF, GROUPS, INERT, ConfigError, files_of
-from trl_explore.config.naming import job_name, register_resolvers
+from trl_explore.config.job_names import job_name, register_resolvers
 
 __all__ = [
     "CONF",

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from trl_explore.checks import check_number
 from trl_explore.config.checking import check_actions, check_values
-from trl_explore.config.constructing import calling, constructor_of
+from trl_explore.config.constructors import calling, constructor_of
 from trl_explore.config.files import ConfigError, load
 from trl_explore.config.importing import import_torchrl
 

@@ -36,7 +36,7 @@ from trl_explore.config.files import (
     load,
     search_in,
 )
-from trl_explore.config.naming import register_resolvers
+from trl_explore.config.job_names import register_resolvers
 from trl_explore.jobs.columns import EVALUATIONS
 from trl_explore.jobs.reading import find_jobs, read_run, read_trials
 

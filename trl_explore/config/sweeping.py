@@ -27,10 +27,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.checks import first_line
 from trl_explore.config.files import ConfigError
-from trl_explore.config.naming import register_resolvers
+from trl_explore.config.hydra_plugins import await_all, plan
+from trl_explore.config.job_names import register_resolvers
 from trl_explore.config.nodes import to_yaml
-from trl_explore.config.plugins import await_all, plan
-from trl_explore.jobs import sweeps
+from trl_explore.jobs import sweep_files
 from trl_explore.jobs.lock import is_locked
 
 register_resolvers()  # a worker composes the configuration before it runs this program's code
@@ -86,12 +86,12 @@ class Sweep(Callback):
                 if not config.hydra.sweeper._target_.endswith(".BasicSweeper"):
                     # It chooses jobs by the results of earlier ones, and writes into this folder.
                     self.place.mkdir(parents=True, exist_ok=True)
-                    sweeps.begin_sweep(self.place, [])
+                    sweep_files.begin_sweep(self.place, [])
                     return
                 folders, self.others = plan(config)
                 for sweep, names in _by_sweep(folders).items():
                     sweep.mkdir(parents=True, exist_ok=True)
-                    sweeps.begin_sweep(sweep, names)
+                    sweep_files.begin_sweep(sweep, names)
                 self.folders = folders
             await_all(config.hydra.launcher._target_, Process.reasons.append)
 
@@ -168,9 +168,9 @@ def end_job(folder: Path, error: str = "", *, record: bool = True) -> None:
         with suppress(OSError):  # even if the lock has already removed the job's folder
             folder.parent.rmdir()
         if record and is_multirun():
-            sweeps.record_failure(folder, error)
+            sweep_files.record_failure(folder, error)
     else:
-        sweeps.forget_failure(folder)
+        sweep_files.forget_failure(folder)
     ended = Ended(folder, error)
     if Process.leads:
         if error:
@@ -203,7 +203,7 @@ def collect(start: Callable[[], object]) -> list[Ended]:
         sweep = Process.sweep
         if sweep is not None and sweep.place is not None:
             for place in {sweep.place, *_by_sweep(sweep.folders)}:
-                sweeps.end_sweep(place)
+                sweep_files.end_sweep(place)
     if sweep is None:
         return Process.ended
     here = {job.folder.absolute(): job for job in Process.ended}
@@ -219,8 +219,10 @@ def _since(sweep: Path | None, begun: float) -> list[Path]:
     """The jobs of a sweep that ended in any process since a time, if they were not planned."""
     if sweep is None:
         return []
-    failed = [sweep / name for name in sweeps.read_failures(sweep)]
-    done = [run.parent for run in sweep.glob(f"*/{sweeps.RUN}") if run.stat().st_mtime >= begun]
+    failed = [sweep / name for name in sweep_files.read_failures(sweep)]
+    done = [
+        run.parent for run in sweep.glob(f"*/{sweep_files.RUN}") if run.stat().st_mtime >= begun
+    ]
     return [*done, *failed]
 
 
@@ -235,8 +237,8 @@ def _in_thread(error: threading.ExceptHookArgs) -> None:
 
 def _from_files(folder: Path, reason: str) -> Ended:
     """How a job ended that ran in another process."""
-    failure = sweeps.read_failures(folder.parent).get(folder.name)
-    if failure is None and (folder / sweeps.RUN).is_file():
+    failure = sweep_files.read_failures(folder.parent).get(folder.name)
+    if failure is None and (folder / sweep_files.RUN).is_file():
         return Ended(folder)
     if failure is None and is_locked(folder):
         failure = f"{folder} is in use: another process runs this job"

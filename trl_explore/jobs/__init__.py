@@ -47,7 +47,7 @@ from trl_explore.jobs.records import (
     read_weights,
 )
 from trl_explore.jobs.writing import clear, versions, write_job, write_timings
-from trl_explore.training.quantities import DIAGNOSTIC_COLUMNS
+from trl_explore.training.diagnostic_quantities import DIAGNOSTIC_COLUMNS
 
 __all__ = [
     "DIAGNOSTIC_COLUMNS",

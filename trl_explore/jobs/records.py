@@ -31,7 +31,7 @@ from trl_explore.jobs.columns import (
 from trl_explore.jobs.files import ResultsError, check_files, read_file
 from trl_explore.jobs.reading import read_columns, read_run
 from trl_explore.statistics.evaluations import AUTO, FINAL_EPISODES, PURPOSES, evaluations_until
-from trl_explore.training.quantities import DIAGNOSTIC_COLUMNS, DIAGNOSTICS
+from trl_explore.training.diagnostic_quantities import DIAGNOSTIC_COLUMNS, DIAGNOSTICS
 
 if TYPE_CHECKING:
     import pandas as pd

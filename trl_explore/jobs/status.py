@@ -23,7 +23,7 @@ from trl_explore.jobs.console import printable, text_table
 from trl_explore.jobs.files import RUN, ResultsError
 from trl_explore.jobs.lock import NAME as LOCK
 from trl_explore.jobs.lock import is_locked
-from trl_explore.jobs.sweeps import MULTIRUN, SWEEP, read_asked, read_failures, read_json
+from trl_explore.jobs.sweep_files import MULTIRUN, SWEEP, read_asked, read_failures, read_json
 
 DONE, RUNNING, FAILURE, CUT, LEFT = "done", "running", "failed", "cut off", "left"
 STATES = (DONE, RUNNING, FAILURE, CUT, LEFT)
@@ -175,7 +175,7 @@ def _integer(value: Any) -> int | None:
     return value if isinstance(value, int) and not isinstance(value, bool) else None
 
 
-def report(sweep: SweepStatus, *, everything: bool = False) -> str:
+def status_lines(sweep: SweepStatus, *, everything: bool = False) -> str:
     """One line for the sweep, and one line for each job.
 
     Args:

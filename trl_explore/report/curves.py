@@ -22,7 +22,7 @@ from trl_explore.jobs.records import (
 from trl_explore.report.groups import Group
 from trl_explore.report.loading import Gap, Job, gap
 from trl_explore.statistics.decomposition import curve_means, same_weights
-from trl_explore.training.quantities import DIAGNOSTICS
+from trl_explore.training.diagnostic_quantities import DIAGNOSTICS
 
 POINTS = 240
 """Most points of a curve."""

@@ -16,7 +16,7 @@ from trl_explore.report.loading import Gap, Loaded, Say, silent
 from trl_explore.report.questions import Question
 from trl_explore.report.selecting import asked, own_claims, without
 from trl_explore.report.study_file import StudyFile
-from trl_explore.report.tables import uncapital
+from trl_explore.report.table_formats import uncapital
 from trl_explore.report.why import headline
 from trl_explore.statistics.comparisons import SCORE, Comparison, compare_pairs
 from trl_explore.statistics.estimates import LEVEL

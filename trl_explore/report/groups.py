@@ -30,7 +30,7 @@ from trl_explore.report.layouts import SIZE, Crossed, Plane, crossed, pairs_by_s
 from trl_explore.report.loading import Job, repeats, set_aside, settled
 from trl_explore.report.questions import Confound, Question, confounds, inferred
 from trl_explore.report.style import Style, option_styles, styles
-from trl_explore.report.tables import listed
+from trl_explore.report.table_formats import listed
 from trl_explore.statistics.outcomes import Outcomes, judged
 from trl_explore.statistics.pairing import configuration_key, deduplicate, pool, select
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from trl_explore.names import OPTIONS, strategy_label, symbol
 from trl_explore.report.factors import factors_of, label_parts, swept_parameters
-from trl_explore.report.tables import capital, some
+from trl_explore.report.table_formats import capital, some
 from trl_explore.statistics.comparisons import Comparison
 from trl_explore.statistics.estimates import LEVEL, pass_rate
 from trl_explore.statistics.outcomes import Outcomes

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from trl_explore import jobs as results
 from trl_explore.jobs.files import ResultsError
-from trl_explore.jobs.sweeps import LOOKS, VERDICTS
+from trl_explore.jobs.sweep_files import LOOKS, VERDICTS
 from trl_explore.names import strategy_label, symbol
 from trl_explore.report.factors import value_words
-from trl_explore.report.tables import listed, some
+from trl_explore.report.table_formats import listed, some
 from trl_explore.statistics.outcomes import Outcomes, convergence_times
 from trl_explore.statistics.pairing import configuration_key, deduplicate, trial_keys
 

@@ -11,7 +11,7 @@ from typing import Any
 from trl_explore.report.evidence import Evidence
 from trl_explore.report.factors import settings_of
 from trl_explore.report.groups import Group
-from trl_explore.report.tables import Column, Record, Table, listed
+from trl_explore.report.table_formats import Column, Record, Table, listed
 from trl_explore.statistics.outcomes import Outcomes
 
 MOST_VALUES = 8

@@ -17,11 +17,11 @@ from markupsafe import Markup
 from trl_explore.names import STRATEGIES, strategy_label
 from trl_explore.report.evidence import Evidence, GroupEvidence
 from trl_explore.report.figures import Drawn, Picture
-from trl_explore.report.formats import inline_svg, theme_css
 from trl_explore.report.groups import Group
+from trl_explore.report.image_files import inline_svg, theme_css
 from trl_explore.report.methods import paragraph, settings_table
 from trl_explore.report.results_tables import gaps_table, group_tables, jobs_table
-from trl_explore.report.tables import Table, listed, span
+from trl_explore.report.table_formats import Table, listed, span
 from trl_explore.report.verdicts import claims_table, distance, tally, why_tables
 from trl_explore.report.why import decomposition_tables, headline
 from trl_explore.statistics.outcomes import Outcomes

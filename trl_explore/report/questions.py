@@ -13,7 +13,7 @@ from itertools import combinations
 from shlex import quote
 
 from trl_explore.report.factors import Factor
-from trl_explore.report.tables import listed
+from trl_explore.report.table_formats import listed
 
 RATE = "optimizer.lr"
 Pair = tuple[str, str]

@@ -13,7 +13,7 @@ import numpy as np
 from trl_explore.report.evidence import Answered, Evidence, GroupEvidence
 from trl_explore.report.figures.axes import number
 from trl_explore.report.questions import shown
-from trl_explore.report.tables import (
+from trl_explore.report.table_formats import (
     Column,
     Record,
     Table,

@@ -19,7 +19,7 @@ from trl_explore.report.groups import Group
 from trl_explore.report.loading import Job
 from trl_explore.report.questions import Block, Question, ask, differing
 from trl_explore.report.study_file import MEASURES, Effect, Selector, StudyFile
-from trl_explore.report.tables import some
+from trl_explore.report.table_formats import some
 from trl_explore.statistics.outcomes import Outcomes, judged
 from trl_explore.statistics.pairing import AGENT_GROUPS, configuration_key, deduplicate, pool
 from trl_explore.thesis import CLAIMS, Claim, NotMeasuredError, Study

@@ -8,7 +8,16 @@ from math import nan
 from trl_explore.names import strategy_label
 from trl_explore.report.groups import Group
 from trl_explore.report.questions import Confound, Question
-from trl_explore.report.tables import FEW, MOST, capital, interval, listed, negated, rounded, some
+from trl_explore.report.table_formats import (
+    FEW,
+    MOST,
+    capital,
+    interval,
+    listed,
+    negated,
+    rounded,
+    some,
+)
 from trl_explore.statistics.comparisons import Comparison, too_few
 from trl_explore.statistics.estimates import LEVEL, Estimate, pass_rate
 from trl_explore.statistics.outcomes import Outcomes

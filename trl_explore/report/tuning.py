@@ -11,11 +11,11 @@ import numpy as np
 from trl_explore.names import strategy_label
 from trl_explore.report.figures import Picture
 from trl_explore.report.figures.axes import handle, legend_above, new_figure, plain_numbers
-from trl_explore.report.formats import drawn_files
-from trl_explore.report.logs import Section, pair_sentence, sample_mean, write_sections
+from trl_explore.report.image_files import drawn_files
+from trl_explore.report.other_programs import Section, pair_sentence, sample_mean, write_sections
 from trl_explore.report.results_tables import pair_columns, pair_records
 from trl_explore.report.style import styles, visual_language
-from trl_explore.report.tables import Column, Table, estimates, plain_columns, rounded
+from trl_explore.report.table_formats import Column, Table, estimates, plain_columns, rounded
 from trl_explore.statistics.comparisons import Measure, compare_all
 from trl_explore.statistics.estimates import LEVEL, flat
 from trl_explore.statistics.outcomes import Outcomes

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from trl_explore.report.evidence import Evidence
 from trl_explore.report.results_tables import crossed_table
-from trl_explore.report.tables import Column, Record, Table
+from trl_explore.report.table_formats import Column, Record, Table
 from trl_explore.statistics.power import trials_text
 from trl_explore.thesis import Checked, Reexamined
 

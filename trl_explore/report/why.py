@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trl_explore.report.decomposition import NEAR, QUANTITIES, Decomposition, Parts
-from trl_explore.report.tables import (
+from trl_explore.report.table_formats import (
     Column,
     Record,
     Table,

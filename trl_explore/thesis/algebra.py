@@ -23,9 +23,9 @@ import numpy as np
 from trl_explore.names import option_label, strategy_label, symbol
 from trl_explore.statistics.outcomes import Outcomes
 from trl_explore.statistics.samples import Sample
-from trl_explore.thesis import particular, rules
-from trl_explore.thesis.particular import Find
+from trl_explore.thesis import rules, single_claims
 from trl_explore.thesis.rules import Decision, Finding, Rule
+from trl_explore.thesis.single_claims import Find
 from trl_explore.thesis.study import NotMeasuredError, Study
 
 Entry = Mapping[str, Any]
@@ -230,14 +230,14 @@ NAMED: Mapping[str, Callable[..., Sequence[Rule]]] = {
     "ratio": _ratio,
     "mean": _mean,
     "quantiles": _quantiles,
-    "scores": particular.scores,
-    "passes_early": particular.passes_early,
-    "converge_late": particular.converge_late,
-    "faster": particular.faster,
-    "differ": particular.differ,
-    "exploring_costs": particular.exploring_costs,
-    "baseline": particular.baseline,
-    "bias_explains": particular.bias_explains,
+    "scores": single_claims.scores,
+    "passes_early": single_claims.passes_early,
+    "converge_late": single_claims.converge_late,
+    "faster": single_claims.faster,
+    "differ": single_claims.differ,
+    "exploring_costs": single_claims.exploring_costs,
+    "baseline": single_claims.baseline,
+    "bias_explains": single_claims.bias_explains,
 }
 """Rule -> its parts, from the study, a function that finds a selector, and the values."""
 RULE_NAMES = (*NAMED, "all", "any", "not", "under")

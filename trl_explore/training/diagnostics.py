@@ -15,7 +15,7 @@ from torchrl.modules import ProbabilisticActor
 from trl_explore.objectives.episodes import Episodes
 from trl_explore.policies.actor import SoftmaxCategorical, frame_distribution
 from trl_explore.strategies import BaseStrategy, Strategy
-from trl_explore.training.quantities import DIAGNOSTIC_COLUMNS as COLUMNS
+from trl_explore.training.diagnostic_quantities import DIAGNOSTIC_COLUMNS as COLUMNS
 from trl_explore.training.snapshots import Visits
 
 CELL = 0.1

@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 from trl_explore.checks import check_integer
 from trl_explore.envs import lane_env
 from trl_explore.policies.layers import is_one_hot
-from trl_explore.training.quantities import BINS, PLANES
+from trl_explore.training.diagnostic_quantities import BINS, PLANES
 
 Weights = dict[str, NDArray[Any]]
 

@@ -13,7 +13,7 @@ from trl_explore.report.decomposition import Decomposition
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import by_parameter, differences, learning, maps, survival, trials
 from trl_explore.report.figures.axes import FigureKind
-from trl_explore.report.formats import drawn_files
+from trl_explore.report.image_files import drawn_files
 from trl_explore.report.style import visual_language
 
 KINDS: tuple[FigureKind, ...] = (

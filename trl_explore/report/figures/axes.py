@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.style import INK, MUTED, WIDTH, Style
-from trl_explore.report.tables import span
+from trl_explore.report.table_formats import span
 from trl_explore.statistics.estimates import Estimate
 from trl_explore.statistics.outcomes import Outcomes
 

@@ -14,7 +14,7 @@ from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import axes
 from trl_explore.report.figures.panels import legend_of, options_of
 from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style, styles
-from trl_explore.report.tables import negated
+from trl_explore.report.table_formats import negated
 from trl_explore.statistics.comparisons import Comparison
 from trl_explore.statistics.estimates import Estimate
 

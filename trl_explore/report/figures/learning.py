@@ -24,7 +24,7 @@ from trl_explore.report.figures.panels import (
     plot_curves,
 )
 from trl_explore.report.style import MUTED, LineStyle, Style
-from trl_explore.training.quantities import DIAGNOSTICS, Diagnostic
+from trl_explore.training.diagnostic_quantities import DIAGNOSTICS, Diagnostic
 
 GREEDY: LineStyle = (0, (5.0, 2.0))
 """Line style of evaluations."""

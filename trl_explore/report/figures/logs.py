@@ -14,7 +14,7 @@ from trl_explore.report.figures import Picture
 from trl_explore.report.figures.axes import handle, legend_above, new_figure, plain_numbers
 from trl_explore.report.figures.panels import BANDS_UP_TO, plot_curves
 from trl_explore.report.figures.survival import Row, plot_survival
-from trl_explore.report.formats import drawn_files
+from trl_explore.report.image_files import drawn_files
 from trl_explore.report.style import Style
 from trl_explore.statistics.estimates import LEVEL
 from trl_explore.statistics.survival import kaplan_meier

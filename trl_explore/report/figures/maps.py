@@ -16,7 +16,7 @@ from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import axes
 from trl_explore.report.style import INK, MAP, MAP_INKS, MUTED, WIDTH, contrast
 from trl_explore.statistics.summary import Summary
-from trl_explore.training.quantities import PLANES
+from trl_explore.training.diagnostic_quantities import PLANES
 
 
 def plot_plane(

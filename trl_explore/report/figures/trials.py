@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from trl_explore.report.evidence import GroupEvidence
 from trl_explore.report.figures import axes
 from trl_explore.report.style import GRID, INK, MUTED, PAPER, Style
-from trl_explore.report.tables import span
+from trl_explore.report.table_formats import span
 from trl_explore.statistics.outcomes import Outcomes, lower_median
 
 RASTER_FROM = 400

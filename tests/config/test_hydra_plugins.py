@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from trl_explore.config import plugins
+from trl_explore.config import hydra_plugins
 
 SLURM = "hydra_plugins.hydra_submitit_launcher.submitit_launcher.SlurmLauncher"
 
@@ -50,13 +50,13 @@ def test_every_job_is_awaited_however_the_first_ends(submitit, tmp_path):
     jobs = [
         Job(missing, "CANCELLED"),
         Job(done, "UNKNOWN", result="returned"),
-        Job(missing, plugins.GONE),
+        Job(missing, hydra_plugins.GONE),
         Job(done, "FAILED", error=RuntimeError(trace)),
     ]
     submitit.AutoExecutor.map_array = lambda executor, *arguments: jobs
     reasons: list[str] = []
-    plugins.await_all(SLURM, lambda reason: pytest.fail("of an earlier sweep"))
-    plugins.await_all(SLURM, reasons.append)
+    hydra_plugins.await_all(SLURM, lambda reason: pytest.fail("of an earlier sweep"))
+    hydra_plugins.await_all(SLURM, reasons.append)
     returned = [job.results()[0] for job in submitit.AutoExecutor.map_array(None)]
     assert all(job.waited for job in jobs)
     assert returned[1] == "returned"
@@ -70,7 +70,7 @@ def test_every_job_is_awaited_however_the_first_ends(submitit, tmp_path):
 
 
 def test_the_states_of_jobs_are_those_of_the_queue(submitit):
-    plugins.await_all(SLURM, lambda reason: None)
+    hydra_plugins.await_all(SLURM, lambda reason: None)
     watcher = submitit.slurm.slurm.SlurmJob.watcher
     for job in ("7_0", "7_1", "7_2", "7_3"):
         watcher.register_job(job)
@@ -86,15 +86,17 @@ def test_the_states_of_jobs_are_those_of_the_queue(submitit):
 
 
 def test_another_launcher_is_left_alone(monkeypatch):
-    monkeypatch.setattr(plugins, "_await_submitit", pytest.fail)
-    monkeypatch.setattr(plugins, "_await_ray", pytest.fail)
-    plugins.await_all("hydra._internal.core_plugins.basic_launcher.BasicLauncher", pytest.fail)
+    monkeypatch.setattr(hydra_plugins, "_await_submitit", pytest.fail)
+    monkeypatch.setattr(hydra_plugins, "_await_ray", pytest.fail)
+    hydra_plugins.await_all(
+        "hydra._internal.core_plugins.basic_launcher.BasicLauncher", pytest.fail
+    )
 
 
 def test_each_job_is_composed_twice_to_plan_it_and_to_run_it(run_many, tmp_path):
     count = """
 from pathlib import Path
-from trl_explore.config.plugins import Composer
+from trl_explore.config.hydra_plugins import Composer
 compose = Composer.__call__
 def counted(self, *words, **more):
     with Path("composed").open("a") as file:

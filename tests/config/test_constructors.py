@@ -7,7 +7,7 @@ import threading
 
 from omegaconf import OmegaConf
 
-from trl_explore.config.constructing import constructor_of
+from trl_explore.config.constructors import constructor_of
 
 
 class Counting:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from omegaconf import OmegaConf
 
-from trl_explore.config.objective import objective, worst
+from trl_explore.config.tuning_value import objective, worst
 from trl_explore.statistics.outcomes import Outcomes
 
 

@@ -11,13 +11,12 @@ from typing import Any
 
 from trl_explore.logs.measures import Task, by_configuration, seeds_text
 from trl_explore.logs.readers import Run
-from trl_explore.report.build import write_page
 from trl_explore.report.figures import Picture
 from trl_explore.report.figures.logs import task_figures
 from trl_explore.report.page import render
 from trl_explore.report.results_tables import pair_columns, pair_records
 from trl_explore.report.style import styles, visual_language
-from trl_explore.report.tables import (
+from trl_explore.report.table_formats import (
     Column,
     Record,
     Table,
@@ -30,6 +29,7 @@ from trl_explore.report.tables import (
     rate_cell,
     rounded,
 )
+from trl_explore.report.writing import write_page
 from trl_explore.statistics.comparisons import Comparison, Measure, compare_all, too_few
 from trl_explore.statistics.estimates import LEVEL, Estimate, flat, pass_rate
 from trl_explore.statistics.means import mean_interval

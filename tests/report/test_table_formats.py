@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from trl_explore.report.page import environment
-from trl_explore.report.tables import Column, Table
+from trl_explore.report.table_formats import Column, Table
 
 TABLE = Table(
     "t",

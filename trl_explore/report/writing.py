@@ -15,7 +15,7 @@ from trl_explore.report.loading import Gap, Say, load, silent
 from trl_explore.report.methods import paragraph, references
 from trl_explore.report.page import MARK, page
 from trl_explore.report.study_file import StudyFile
-from trl_explore.report.tables import Table
+from trl_explore.report.table_formats import Table
 
 PAGE, FIGURES, TABLES = "index.html", "figures", "tables"
 MAP = "map.html"
