@@ -168,7 +168,7 @@ class EpisodeCollector(BaseCollector):
         if active is None:
             active = np.ones(self.trials, dtype=np.bool_)
         active = np.asarray(active, dtype=np.bool_)
-        if active.shape != (self.trials,) or not active.any():
+        if active.shape != (self.trials,) or not np.count_nonzero(active):
             raise ValueError(
                 f"active must be bool [{self.trials}] with at least one true entry, got {active!r}"
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import cast
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictParams
@@ -19,7 +19,6 @@ from trl_explore.numerics.surrogate import (
     reinforce_of_arrays,
 )
 from trl_explore.objectives.episodes import Episodes
-from trl_explore.policies import LinearPolicy
 from trl_explore.policies.actor import SoftmaxActor, fitted, has_linear_softmax
 
 
@@ -27,7 +26,7 @@ def linear_weight_key(actor: ProbabilisticTensorDictSequential) -> tuple[str, ..
     """The key of W among the parameters of a linear softmax; None for any other π."""
     if not has_linear_softmax(actor):
         return None
-    weight = cast(LinearPolicy, actor[0]).weight
+    weight = weight_of(actor, None, ())
     names = (tuple(name.split(".")) for name, p in actor.named_parameters() if p is weight)
     return next(names, None)
 
@@ -55,7 +54,10 @@ def weight_of(
     key: tuple[str, ...],
 ) -> Tensor:
     """W of a linear softmax [trials, n_actions, n_features]; arguments as in ``linear_weight``."""
-    return cast(LinearPolicy, actor[0]).weight if parameters is None else parameters.get(key)
+    if parameters is not None:
+        return parameters.get(key)
+    policy: Any = actor.module[0]  # the index of a sequence is slow
+    return policy.weight
 
 
 def closed_form_of_arrays(

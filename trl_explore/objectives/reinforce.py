@@ -256,12 +256,13 @@ class ReinforceLoss(LossModule):
         Returns:
             "trial_loss"; None if these weights need ``backward``.
         """
-        parameters = self.actor_network_params if self.functional else None
-        weight = weight_of(self.actor_network, parameters, cast(tuple, self._weight_key))
-        if len(weight) != self.trials:
+        parameters = self.actor_network_params if self._functional else None
+        assert self._weight_key is not None
+        assert self._constant is not None
+        weight = weight_of(self.actor_network, parameters, self._weight_key)
+        if weight.shape[0] != self.trials:
             return None
-        baseline = cast(float, self._constant)
-        return closed_form_of_arrays(weight, frames, self.gamma, baseline, -self.weight)
+        return closed_form_of_arrays(weight, frames, self.gamma, self._constant, -self.weight)
 
     def _closed_form(self, episodes: Episodes, weight: Tensor) -> Tensor | None:
         """``backward`` without a graph; None if the closed form does not apply to these data."""

@@ -94,7 +94,8 @@ class Trainer:
         self.snapshots = snapshots
         self.on_iteration = on_iteration
         self._weights = Views(optimizer.parameters)
-        self._reads_arrays = intrinsic is None and getattr(loss, "reads_arrays", False)
+        reads_arrays = intrinsic is None and getattr(loss, "reads_arrays", False)
+        self._arrays_backward = cast(Any, loss).backward_arrays if reads_arrays else None
         strategy = collector.strategy
         self._strategy_reads = strategy.learns_from_data or strategy.frames.ndim > 0
         self.seconds = 0.0
@@ -112,7 +113,7 @@ class Trainer:
         if self.trials.iteration == 0:
             self._evaluate(0, self.trials.active, self.trials.frames)
             self._keep(0)
-        while self.trials.active.any() and not stopped():
+        while np.count_nonzero(self.trials.active) and not stopped():
             self._iterate(offset)
             self.seconds = offset + clock() - self.evaluating
             if self.on_iteration is not None:
@@ -201,13 +202,13 @@ class Trainer:
     def _backward(self, rollout: Rollout) -> torch.Tensor:
         """Add the gradient of the episodes; returns each trial's loss."""
         trial_loss = None
-        if self._reads_arrays and rollout.arrays is not None:
-            trial_loss = cast(Any, self.loss).backward_arrays(rollout.arrays)
+        if self._arrays_backward is not None and rollout.arrays is not None:
+            trial_loss = self._arrays_backward(rollout.arrays)
         return self.loss.backward(rollout.frames) if trial_loss is None else trial_loss
 
     def _learn(self, rollout: Rollout) -> None:
         """Let the loss and the strategy learn from the episodes, after the update."""
-        if not self._reads_arrays:
+        if self._arrays_backward is None:
             self.loss.step(rollout.frames)
         if self._strategy_reads:
             frames = rollout.frames

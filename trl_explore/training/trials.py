@@ -145,7 +145,11 @@ class Trials:
             self.passed[new] = True
             self._passed_at[:, new] = self.iterations[new], self.frames[new]
         met = self._met(trial, learned)
-        if met.any() or diverged.any() or self.iteration >= self.max_iterations:
+        if (
+            np.count_nonzero(met)
+            or np.count_nonzero(diverged)
+            or self.iteration >= self.max_iterations
+        ):
             self._stop(trial, met, diverged)
 
     def _met(
