@@ -124,10 +124,86 @@ def test_a_changed_loss_is_not_passed_over(method, train):
 
 
 def test_renamed_entries_are_read_from_the_frames(build):
-    trainer = build(Softmax(), collector=FusedCollector)
-    assert trainer.loss.reads_arrays
-    trainer.loss.set_keys(action="other")
-    assert not trainer.loss.reads_arrays
+    """The names may change until the training begins."""
+    one, two = (build(Softmax(), collector=FusedCollector) for _ in range(2))
+    one.loss.set_keys(reward="episode_reward")
+    one.run()
+    two.run()
+    assert not one.loss.reads_arrays
+    assert not torch.equal(*(t.optimizer.parameters[0].detach() for t in (one, two)))
+
+
+@pytest.mark.parametrize("method", ["backward", "step", "_episodes"])
+@pytest.mark.parametrize("late", [False, True])
+def test_a_method_of_the_object_is_not_passed_over(method, late, build):
+    def loss(*args, **options):
+        made = ReinforceLoss(*args, **options)
+        return made if late else changed(made)
+
+    def changed(made):
+        own = getattr(made, method)
+
+        def called(*args):
+            calls.append(method)
+            return own(*args)
+
+        setattr(made, method, called)
+        return made
+
+    calls: list[str] = []
+    trainer = build(Softmax(), collector=FusedCollector, loss=loss, max_iterations=4)
+    if late:
+        changed(trainer.loss)
+    trainer.run()
+    assert len(calls) >= 4
+
+
+def test_a_step_of_a_strategy_that_is_set_later_gets_the_frames(build):
+    class Own(EpsilonGreedy):
+        pass
+
+    seen = []
+
+    def step(self, frames=None):
+        seen.append(frames["next", "reward"].sum().item())
+        EpsilonGreedy.step(self, frames)
+
+    Own.step = step
+    trainer = build(Own(), collector=FusedCollector, max_iterations=3)
+    trainer.run()
+    assert len(seen) == 3
+    assert min(seen) > 0
+
+
+@pytest.mark.parametrize("place", ["_collect", "collect"])
+def test_frames_that_a_collector_changes_are_learned_from(place, build):
+    def doubled(self, active):
+        rollout = getattr(super(Double, self), place)(active)
+        rollout.frames["next"].set("reward", 2 * rollout.frames["next", "reward"])
+        return rollout
+
+    Double = type("Double", (FusedCollector,), {place: doubled})  # noqa: N806
+    found = []
+    for collector, loss in (
+        (Double, ReinforceLoss),
+        (Double, Framewise),
+        (FusedCollector, Framewise),
+    ):
+        trainer = build(Softmax(), collector=collector, loss=loss, max_iterations=6)
+        trainer.run()
+        found.append(trainer.optimizer.parameters[0].detach())
+    assert torch.equal(found[0], found[1])
+    assert not torch.equal(found[0], found[2])
+
+
+def test_a_rollout_unpacks_like_a_tuple(build):
+    rollout = build(Softmax(), collector=FusedCollector).collector.collect()
+    frames, score, length = rollout
+    assert len(rollout) == 3
+    assert rollout[0] is frames is rollout.frames
+    assert rollout[1] is score
+    assert rollout[2] is length
+    assert rollout.count == len(frames) == length.sum()
 
 
 def test_hooks_of_the_weights_are_called(build):

@@ -33,7 +33,8 @@ class Rollout:
             [active, k] if every trial has k > 1 episodes. It is the sum of the environment's
             rewards in double precision.
         length: the number of frames of every episode, in the same shape.
-        arrays: the entries that REINFORCE reads, if the collector keeps them as arrays.
+        arrays: the entries that REINFORCE reads, if the collector keeps them as arrays. They are
+            None as soon as the frames have been built, because their reader may change them.
     """
 
     def __init__(
@@ -50,13 +51,19 @@ class Rollout:
     def frames(self) -> TensorDictBase:
         """All frames, flat [frames]."""
         if not isinstance(self._frames, TensorDictBase):
-            self._frames = self._frames()
+            self._frames, self.arrays = self._frames(), None
         return self._frames
 
     @property
     def count(self) -> int:
         """The number of frames."""
         return int(self.length.sum()) if self.arrays is None else len(self.arrays.trial)
+
+    def __len__(self) -> int:
+        return 3
+
+    def __getitem__(self, index: int) -> Any:
+        return tuple(self)[index]
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.frames, self.score, self.length))

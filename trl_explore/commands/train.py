@@ -19,7 +19,7 @@ from trl_explore.commands.job import EXPECTED, run
 from trl_explore.commands.main import TRACEBACK
 from trl_explore.config import CONF, ConfigError, sweeping, tuning_value
 from trl_explore.config.files import check_folder
-from trl_explore.config.nodes import save_work
+from trl_explore.config.nodes import speed_up_omegaconf
 from trl_explore.jobs import signals
 from trl_explore.jobs.console import tell
 from trl_explore.jobs.signals import Interrupted
@@ -36,7 +36,7 @@ def main(action: Callable[[], int] | None = None) -> int:
     os.environ.setdefault(TRACEBACK, os.environ.get("HYDRA_FULL_ERROR", ""))
     os.environ["HYDRA_FULL_ERROR"] = "1"  # make Hydra raise errors instead of printing tracebacks
     configuration.register_resolvers()
-    save_work()
+    speed_up_omegaconf()
     sys.argv[1:] = sorted(sys.argv[1:], key=_place)
     try:
         return _reported(action or sweep)

@@ -1,7 +1,7 @@
 """OmegaConf's nodes, copied, read and written with less work, and with the same result.
 
 A job is copied several times on its way through Hydra, and most of the time of a copy is spent on
-the notes that each node keeps about itself. An interpolation is parsed again at every access. Most
+the metadata of each node. An interpolation is parsed again at every access. Most
 lines of a job's YAML files are those of the job before it.
 """
 
@@ -22,13 +22,13 @@ PARSED = 256
 WRITTEN = 1000
 """Most values whose YAML text is kept."""
 DIVIDED = ("hydra", "job", "runtime")
-"""The mappings of which some values differ between the jobs of a sweep, and most do not."""
+"""The mappings whose values are kept one by one: few of them differ between the jobs of a sweep."""
 _texts: dict[tuple[tuple[str, ...], str, str], str] = {}
-"""The YAML text of a value, by the keys above it, its own key and its ``repr``."""
+"""The YAML text of a value, by the keys above it, and the ``repr`` of its own key and of itself."""
 
 
 @cache
-def save_work() -> None:
+def speed_up_omegaconf() -> None:
     """Change OmegaConf in this process. Only the command that runs sweeps does so."""
     base.parse = lru_cache(PARSED)(base.parse)  # pyright: ignore[reportPrivateImportUsage]
     for kind in (Metadata, ContainerMetadata):
@@ -37,12 +37,12 @@ def save_work() -> None:
     AnyNode.__deepcopy__ = _copied_value
 
 
-def _copied(notes: Metadata, memo: dict[int, Any]) -> Metadata:
-    """A deep copy of the notes of a node: all but their two dictionaries cannot change."""
-    copy = object.__new__(type(notes))
-    vars(copy).update(vars(notes))
-    copy.flags = None if notes.flags is None else dict(notes.flags)
-    kept = notes.resolver_cache
+def _copied(metadata: Metadata, memo: dict[int, Any]) -> Metadata:
+    """A deep copy of the metadata of a node: only its two dictionaries can change."""
+    copy = object.__new__(type(metadata))
+    vars(copy).update(vars(metadata))
+    copy.flags = None if metadata.flags is None else dict(metadata.flags)
+    kept = metadata.resolver_cache
     copy.resolver_cache = deepcopy(kept, memo) if kept else defaultdict(dict)
     return copy
 
@@ -55,8 +55,8 @@ def _copied_mapping(self: DictConfig, memo: dict[int, Any]) -> DictConfig:
         content = {key: deepcopy(child, memo) for key, child in content.items()}
         for child in content.values():
             vars(child)["_parent"] = copy
-    notes = deepcopy(old["_metadata"], memo)
-    vars(copy).update(old, _metadata=notes, _content=content, _flags_cache=None)
+    metadata = deepcopy(old["_metadata"], memo)
+    vars(copy).update(old, _metadata=metadata, _content=content, _flags_cache=None)
     return copy
 
 
@@ -70,7 +70,8 @@ def _copied_value(self: AnyNode, memo: dict[int, Any]) -> AnyNode:
 def to_yaml(config: DictConfig) -> str:
     """The text that ``OmegaConf.to_yaml`` gives."""
     plain = OmegaConf.to_container(config, enum_to_str=True)
-    return _block(cast(dict[str, Any], plain), ()) or OmegaConf.to_yaml(config)
+    text = _block(cast(dict[str, Any], plain), ()) if isinstance(plain, dict) else ""
+    return text or OmegaConf.to_yaml(config)
 
 
 def _block(plain: dict[str, Any], above: tuple[str, ...]) -> str:
@@ -80,7 +81,7 @@ def _block(plain: dict[str, Any], above: tuple[str, ...]) -> str:
             inner = cast(dict[str, Any], value)
             text += f"{'  ' * len(above)}{name}:\n{_block(inner, (*above, name))}"
             continue
-        key = above, name, repr(value)
+        key = above, repr(name), repr(value)
         if key not in _texts:
             if len(_texts) >= WRITTEN:
                 _texts.clear()

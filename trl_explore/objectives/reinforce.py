@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives.common import LossModule
 
-from trl_explore.checks import check_flag, check_integer, check_number, withdraw
+from trl_explore.checks import check_flag, check_integer, check_number, holds, withdraw
 from trl_explore.numerics.surrogate import FrameArrays, linear_softmax_surrogate
 from trl_explore.objectives.baselines import Baseline, Constant
 from trl_explore.objectives.corrections import Correction, as_correction, log_ratio_of
@@ -110,9 +110,10 @@ class ReinforceLoss(LossModule):
     closed_form: ClassVar[bool] = True
     """Whether ``backward`` may use a closed form instead of ``forward`` and autograd. False in a
     class that overrides ``forward``, unless the class declares it."""
-    whole: ClassVar[bool] = True
-    """Whether an iteration needs no other method than ``backward_arrays``. False in a class that
-    overrides ``backward`` or ``step``, unless the class declares it."""
+    arrays_suffice: ClassVar[bool] = True
+    """Whether ``backward_arrays`` alone may do the work of ``backward`` and ``step``. False in a
+    class that overrides ``forward`` or a method in ``REPLACED``, unless the class declares it."""
+    REPLACED: ClassVar[tuple[str, ...]] = ("backward", "step", "_episodes")
 
     actor_network: ProbabilisticTensorDictSequential
     actor_network_params: TensorDictParams
@@ -121,7 +122,7 @@ class ReinforceLoss(LossModule):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         withdraw(cls, "closed_form", False, ["forward"])
-        withdraw(cls, "whole", False, ["forward", "backward", "step"])
+        withdraw(cls, "arrays_suffice", False, ("forward", *cls.REPLACED))
 
     def __init__(
         self,
@@ -248,7 +249,8 @@ class ReinforceLoss(LossModule):
         The policy is a linear softmax, A_t = G_t − b, and the entries have their usual names.
         """
         plain = self._has_closed_form and self._constant is not None and self.trials is not None
-        return self.whole and plain and self.tensor_keys == self.default_keys()
+        own = self.arrays_suffice and holds(self, "arrays_suffice", self.REPLACED)
+        return own and plain and self.tensor_keys == self.default_keys()
 
     def backward_arrays(self, frames: FrameArrays) -> Tensor | None:
         """``backward`` of one array per entry; call it only if ``reads_arrays``.

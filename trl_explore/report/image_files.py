@@ -69,13 +69,15 @@ def to_pdf(figure: Figure) -> bytes:
 
 def drawn_files(figure: Figure) -> dict[str, Any]:
     """The figure in every format: ``svg``, ``png`` and ``pdf``."""
-    gc.disable()  # what a drawing leaves is free after the figure, and looking costs a fifth
+    collects = gc.isenabled()
+    gc.disable()  # garbage is freed after the figure; collecting during it takes a fifth longer
     try:
         svg = to_svg(figure)
         figure.set_layout_engine("none")  # the layout is the same in every format
         return {"svg": svg, "png": to_png(figure), "pdf": to_pdf(figure)}
     finally:
-        gc.enable()
+        if collects:
+            gc.enable()
 
 
 def inline_svg(svg: str, name: str, alt: str) -> str:
@@ -116,7 +118,7 @@ def _any_glyph() -> Iterator[None]:
 
 @contextmanager
 def _small_fonts() -> Iterator[None]:
-    """Embed only ``FONT_TABLES``: to reduce the others takes most of the time of a PDF."""
+    """Embed only ``FONT_TABLES``: subsetting the other tables takes most of the time of a PDF."""
     load = subset.load_font
 
     def load_small(*args: Any, **options: Any) -> Any:

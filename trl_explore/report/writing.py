@@ -43,14 +43,16 @@ def build_report(
     evidence = gather(load(folders, say), study, say)
     figures = {}
     n = len(evidence.groups)
-    gc.freeze()  # while figures are drawn, the collector looks at no module and no result
+    frozen = gc.get_freeze_count() > 0
+    gc.freeze()  # while figures are drawn, no module and no result becomes garbage
     try:
         for k, part in enumerate(evidence.groups, start=1):
             say(0.5 + 0.4 * (k - 1) / n, f"figures {k} of {n}: {part.group.title}")
             figures[part.group.id] = list(draw_all(part))
         acting = list(draw_why(evidence.decompositions))
     finally:
-        gc.unfreeze()
+        if not frozen:
+            gc.unfreeze()
     say(0.9, "page")
     html, tables = page(evidence, figures, acting, MAP if (out / MAP).is_file() else "")
     pictures: list[Picture] = [f for group in figures.values() for f in group]

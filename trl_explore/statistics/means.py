@@ -121,7 +121,7 @@ class Moments:
 
     @classmethod
     def of(cls, x: NDArray[np.float64]) -> Moments:
-        """Those of values [n]; NaN for what is unknown."""
+        """The moments of values [n]; NaN for what is unknown."""
         sd = float(x.std(ddof=1)) if len(x) > 1 else nan
         return cls(len(x), float(x.mean()) if len(x) else nan, sd)
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 
+from trl_explore.checks import holds
 from trl_explore.collectors import EpisodeCollector, Rollout
 from trl_explore.numerics.compiled.cache import clock
 from trl_explore.training.diagnostics import Diagnostics
@@ -94,10 +95,7 @@ class Trainer:
         self.snapshots = snapshots
         self.on_iteration = on_iteration
         self._weights = Views(optimizer.parameters)
-        reads_arrays = intrinsic is None and getattr(loss, "reads_arrays", False)
-        self._arrays_backward = cast(Any, loss).backward_arrays if reads_arrays else None
-        strategy = collector.strategy
-        self._strategy_reads = strategy.learns_from_data or strategy.frames.ndim > 0
+        self._choose_readers()
         self.seconds = 0.0
         """Wall time of training so far, without compilation and evaluations; includes the time
         before an interruption [s]."""
@@ -109,6 +107,7 @@ class Trainer:
 
     def run(self, stopped: Callable[[], bool] = lambda: False) -> Trials:
         """Train until every trial has stopped, or ``stopped()`` is true between iterations."""
+        self._choose_readers()
         offset = self.seconds - clock() + self.evaluating  # seconds = offset + clock - evaluating
         if self.trials.iteration == 0:
             self._evaluate(0, self.trials.active, self.trials.frames)
@@ -124,6 +123,15 @@ class Trainer:
                     self.trials.iterations, self.trials.frames, self.trials.status == "diverged"
                 )
         return self.trials
+
+    def _choose_readers(self) -> None:
+        """Decide whether loss and strategy read frames; ``run`` asks again when it begins."""
+        loss: Any = self.loss
+        arrays = self.intrinsic is None and getattr(loss, "reads_arrays", False)
+        self._arrays_backward = loss.backward_arrays if arrays else None
+        strategy = self.collector.strategy
+        plain = holds(strategy, "learns_from_data", ["step"]) and not strategy.learns_from_data
+        self._strategy_reads = not plain or strategy.frames.ndim > 0
 
     @contextmanager
     def _evaluation(self) -> Iterator[None]:

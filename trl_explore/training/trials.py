@@ -167,7 +167,7 @@ class Trials:
     def _enter(self, episodes: _Episodes, seconds: float) -> float:
         """Record the episodes of an iteration; returns the highest final score of their trials.
 
-        The loop over the rows knows it, and in most iterations it shows that none has passed.
+        It costs nothing here, and usually shows that no trial can have passed.
         """
         self._episodes.append(episodes)
         trial, scores, frames = episodes

@@ -54,7 +54,8 @@ class FusedCollector(EpisodeCollector):
 
     Args:
         stream: the random stream of the episodes; None: that of the environment. The environment
-            itself is never stepped, so that collectors with different streams can share it.
+            itself is never stepped, so that collectors with different streams can share it;
+            each of them closes it.
 
     Raises:
         NotCompilableError: if the environment has no kernel, or a wrapper, transform, policy or

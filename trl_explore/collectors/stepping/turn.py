@@ -154,7 +154,7 @@ def compile_turn(  # noqa: C901 - the parts of one compiled function
 
     @kernel_function
     def observe(place, left, outputs, state, log):
-        """FrameLog the observations and masks."""
+        """Log the observations and masks."""
         observation, mask = outputs[0], outputs[4]
         for j in range(left):
             row, frame = state.rows[j], place + j
