@@ -90,7 +90,7 @@ def test_the_only_resolvers_are_two_names():
         registered = [
             c for c in calls(ast.parse(path.read_text())) if name_of(c) == "register_new_resolver"
         ]
-        assert bool(registered) == (path.parts[-2:] == ("config", "naming.py"))
+        assert bool(registered) == (path.parts[-2:] == ("config", "job_names.py"))
 
 
 @pytest.mark.parametrize(
