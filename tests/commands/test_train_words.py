@@ -62,6 +62,7 @@ WRONG = {
     "env.max_steps=nan": "max_steps ... >= 1 ... nan",
     "foo=1": "'foo'",
     "lr=0.1": "unknown key 'lr'; did you mean optimizer.lr?",
+    "stategy=softmax": "unknown key 'stategy'; did you mean strategy?",
     "+lr=0.1": "unknown key 'lr'; did you mean optimizer.lr?",
     "strategy=epsilon_greedy epsilon=0.1": "'epsilon'; did you mean strategy.epsilon?",
     "strategy=epsilon_greedy strategy.epsilom=1": "'strategy.epsilom'; did you mean strategy.ep",

@@ -103,13 +103,14 @@ def load(name: str) -> DictConfig:
 
 
 def alike(key: str) -> str:
-    """``; did you mean …?`` for a mistyped key, or empty.
+    """``; did you mean …?`` for a mistyped key or group, or empty.
 
     Example:
-        >>> alike("lr"), alike("strategy.epsilom"), alike("xyzzy")
-        ('; did you mean optimizer.lr?', '; did you mean strategy.epsilon?', '')
+        >>> alike("lr"), alike("stategy"), alike("xyzzy")
+        ('; did you mean optimizer.lr?', '; did you mean strategy?', '')
     """
     known = {str(name): 1.0 for name in load("train") if name not in ("defaults", "hydra")}
+    known |= dict.fromkeys(GROUPS, 1.0)
     for group in GROUPS:
         options = [group_defaults(group, option) for option in files_of(group)]
         for name in (f"{group}.{name}" for option in options for name in option):
