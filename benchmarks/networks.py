@@ -111,13 +111,15 @@ def jax_program(trials: int, hidden: int) -> Callable[[], int]:
         state, over = move(state, action, jnp)
         return state, running & ~over, key, t + 1, record
 
+    def going(carry: Any) -> Any:
+        return carry[1].any() & (carry[3] < STEPS)
+
     @jax.jit
     def episode(key: Any) -> Any:
         state = tuple((jax.random.uniform(key, (4, trials)) - 0.5) / 10)
         shapes = ((4,), jnp.float32), ((), jnp.int32), ((), jnp.float32), ((), bool)
         record = tuple(jnp.zeros((STEPS, trials, *shape), dtype) for shape, dtype in shapes)
         start = state, jnp.ones(trials, bool), key, 0, record
-        going = lambda c: c[1].any() & (c[3] < STEPS)  # noqa: E731
         return jax.lax.while_loop(going, step, start)[4][3].sum()
 
     keys = iter(range(10**9))

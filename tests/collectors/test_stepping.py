@@ -180,9 +180,10 @@ def test_in_several_processes():
 @pytest.mark.parametrize("name", SUPPORTED)
 def test_transforms(name):
     """Their state is per trial; the rewards of the score are not transformed."""
-    make = lambda: make_env(  # noqa: E731
-        **CARTPOLE, transforms=[RewardScaling(0.5, 0.3), SUPPORTED[name]()]
-    )
+
+    def make():
+        return make_env(**CARTPOLE, transforms=[RewardScaling(0.5, 0.3), SUPPORTED[name]()])
+
     check(make, LinearPolicy, Softmax)
 
 
@@ -195,7 +196,10 @@ def test_transforms(name):
 )
 def test_transforms_with_masks_and_with_continuous_actions(env, policy, strategy):
     stack = SUPPORTED["CatFrames"]
-    make = lambda: make_env(**env, transforms=[stack()])  # noqa: E731
+
+    def make():
+        return make_env(**env, transforms=[stack()])
+
     check(make, policy, strategy, compiled=strategy is Gaussian)
 
 

@@ -1,4 +1,4 @@
-"""Every discrete strategy in TorchRL's own collector, behind a Q-network."""
+"""Every discrete strategy in TorchRL's own collector, after a Q-network."""
 
 import pytest
 import torch

@@ -126,7 +126,7 @@ def test_groups_of_agents_do_not_share_an_entry():
         )
     index = frames["left", "action"].int().argmax(-1)
     assert (index <= torch.arange(2)).all()  # the mask of the group is obeyed
-    assert "action_log_prob" not in frames.keys()  # noqa: SIM118
+    assert "action_log_prob" not in frames
     with pytest.raises(ValueError, match=r"action_key.*'left', 'action'"):
         EpsilonGreedy(spec=spec)
 

@@ -182,7 +182,10 @@ def test_frames_that_a_collector_changes_are_learned_from(place, build):
         rollout.frames["next"].set("reward", 2 * rollout.frames["next", "reward"])
         return rollout
 
-    Double = type("Double", (FusedCollector,), {place: doubled})  # noqa: N806
+    class Double(FusedCollector):
+        pass
+
+    setattr(Double, place, doubled)
     found = []
     for collector, loss in (
         (Double, ReinforceLoss),
