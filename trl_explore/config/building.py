@@ -109,6 +109,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     from trl_explore.collectors import FusedCollector, auto_collector
     from trl_explore.envs.checking import remarks
     from trl_explore.policies.actor import actor_of
+    from trl_explore.policies.layers import spec_env
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.snapshots import Snapshots, Visits
     from trl_explore.training.trainer import Trainer
@@ -133,7 +134,7 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     if announce:
         _check_transforms(config, make)
     env = make(trials=size, **streams)
-    check_actions(config, env.action_spec.domain)
+    check_actions(config, spec_env(env).action_spec.domain)
     policy = _policy(config)(env=env, **streams)
     baseline = constructor_of(config, "baseline")()
     baseline.bind(env)
