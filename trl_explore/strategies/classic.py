@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Unpack
 
-from tensordict import TensorDictBase
 from torch import Tensor
 
 from trl_explore.strategies.discrete import Options
