@@ -9,6 +9,7 @@ from threading import Barrier
 
 import numba as nb
 import pytest
+from numba.core.caching import CompileResultCacheImpl
 
 from trl_explore.numerics.compiled import cache
 from trl_explore.numerics.compiled.cache import _CompileTime, _compiling, clock
@@ -118,6 +119,24 @@ def test_code_is_compiled_where_no_cache_can_be_written(monkeypatch, caplog):
     assert double(3) == 6
     (record,) = caplog.records
     assert "NUMBA_CACHE_DIR" in record.getMessage()
+
+
+def test_a_user_without_a_home_gets_no_folder_named_like_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(nb.config, "CACHE_DIR", "")
+    monkeypatch.setenv("HOME", "~")
+    monkeypatch.setenv("XDG_CACHE_HOME", "")
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(
+        CompileResultCacheImpl._locator_classes[1], "from_function", lambda *arguments: None
+    )
+    monkeypatch.chdir(tmp_path)
+
+    @cache.compiled()
+    def double(x):
+        return 2 * x
+
+    assert double(3) == 6
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_clock_stands_still_while_numba_compiles():

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -80,6 +81,8 @@ class SourceCache(FunctionCache):
     digest = ""
 
     def __init__(self, function: Callable[..., Any]) -> None:
+        if os.path.expanduser("~") == "~":  # noqa: PTH111  (the user has no home)
+            os.environ.setdefault("XDG_CACHE_HOME", os.devnull)  # numba would make a folder ~
         super().__init__(function)
         stamp = self._impl.locator.get_source_stamp()
         self._cache_file = _Files(self._cache_path, self._impl.filename_base, stamp)
