@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -323,3 +324,10 @@ def test_the_status_of_a_signal(monkeypatch, capsys, name):
     monkeypatch.setattr(main, "import_module", fail)
     assert main.main(["report", "."]) == 128 + signum
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_warning_is_a_plain_line(monkeypatch, capsys):
+    monkeypatch.setattr(logging.root, "handlers", [])
+    assert main.main(["status", "no_such_folder"]) == 1
+    logging.getLogger("trl_explore.jobs").warning("no file locks")
+    assert capsys.readouterr().err.splitlines()[-1] == "no file locks"

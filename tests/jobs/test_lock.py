@@ -75,16 +75,24 @@ def test_status_in_another_process(reason, tmp_path, monkeypatch):
 
 
 def test_a_process_that_was_killed_does_not_run_for_ever(reason, tmp_path):
-    ended = subprocess.Popen(["cat"], stdin=subprocess.PIPE)
-    birth = lock._birth(ended.pid)
+    ended, unread = (subprocess.Popen(["cat"], stdin=subprocess.PIPE) for _ in range(2))
+    births = [lock._birth(process.pid) for process in (ended, unread)]
     ended.communicate()
+    unread.kill()  # its parent, as the first process of a container, does not ask how it ended
+    os.waitid(os.P_PID, unread.pid, os.WEXITED | os.WNOWAIT)
     job = tmp_path / "job"
-    for pid, start in ((ended.pid, birth), (os.getpid(), "17"), (2**40, "1")):
+    processes = (
+        *zip((ended.pid, unread.pid), births, strict=True),
+        (os.getpid(), "17"),
+        (2**40, "1"),
+    )
+    for pid, start in processes:
         job.mkdir()
         (job / NAME).write_text(f"{HOST} {pid} {start}")
         assert not is_locked(job)
         with Lock(job):
             assert is_locked(job)
+    unread.communicate()
 
 
 @pytest.mark.parametrize("age", [1, 10**6])

@@ -64,6 +64,7 @@ def main(words: Sequence[str] | None = None) -> int:
     if name in ("train", "settle", "tune", "thesis"):
         signals.leave_on_signals()
     sys.argv = [f"trl-explore {name}", *arguments]
+    logging.basicConfig(format="%(message)s", stream=sys.stderr)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it works without a home folder
     try:
         status = import_module(f"trl_explore.commands.{name}").main()

@@ -10,7 +10,6 @@ other jobs there. Only training is timed, not imports, the construction of the a
 from __future__ import annotations
 
 import argparse
-import logging
 import sys
 import time
 from pathlib import Path
@@ -104,7 +103,6 @@ def main() -> int:
         "--config-dir", type=Path, metavar="DIR", help="the --config-dir used to train the jobs"
     )
     arguments = parser.parse_args()
-    logging.basicConfig(level=logging.WARNING)
     try:
         if arguments.trials < 1:
             raise ConfigError(f"--trials must be at least 1, got {arguments.trials}")

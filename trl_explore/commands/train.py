@@ -31,7 +31,6 @@ def main(action: Callable[[], int] | None = None) -> int:
     Args:
         action: what to do with the words of the command; by default, run their jobs.
     """
-    logging.basicConfig(format="%(message)s", stream=sys.stderr)
     logging.getLogger("trl_explore").setLevel(logging.INFO)
     os.environ.setdefault(TRACEBACK, os.environ.get("HYDRA_FULL_ERROR", ""))
     os.environ["HYDRA_FULL_ERROR"] = "1"  # make Hydra raise errors instead of printing tracebacks

@@ -8,7 +8,6 @@ follows the iteration; with --greedy, an episode of the evaluation after it.
 from __future__ import annotations
 
 import argparse
-import logging
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
@@ -82,7 +81,6 @@ def main() -> int:
         "--config-dir", type=Path, metavar="DIR", help="the --config-dir used to train the jobs"
     )
     arguments = parser.parse_args()
-    logging.basicConfig(level=logging.WARNING)
     out = arguments.out
     try:
         if out.suffix not in (".gif", ".mp4"):

@@ -231,21 +231,27 @@ def _runs(text: str) -> bool | None:
 
 
 def is_alive(pid: int) -> bool:
-    """Whether a process of this computer runs."""
+    """Whether a process of this computer runs; one that has ended may wait for its parent."""
     try:
         os.kill(pid, 0)
     except (ProcessLookupError, OverflowError):
         return False
     except OSError:
         pass  # the process of another user
-    return True
+    return _stat(pid, 0) != "Z"
 
 
 def _birth(pid: int) -> str:
     """When a process started, in the kernel's units: a new process may get an old number."""
+    return _stat(pid, 19)
+
+
+def _stat(pid: int, place: int) -> str:
+    """A field that Linux shows of a process, counted from its state; a dash if it is unknown."""
     try:
-        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
-    except (OSError, IndexError, UnicodeDecodeError):
+        text = Path(f"/proc/{pid}/stat").read_bytes().decode(errors="replace")
+        return text.rpartition(")")[2].split()[place]
+    except (OSError, IndexError):
         return "-"
 
 

@@ -1,11 +1,12 @@
 """Compilation of functions with a cache on disk, and a clock that excludes compilation.
 
-This module makes numba's cache safe for processes that compile at the same time. The cache of a
-function consists of data files and an index, signature -> number of a data file. Numba replaces
-each file atomically, but chooses the number from an index that it has read earlier. Two processes
-that compile two signatures of a function at the same time may choose the same number, and the index
-of one may then point to the code of the other. A lock on the cache's folder makes reading the index
-and writing both files one step.
+This module makes numba's cache safe for processes that compile at the same time, without a lock,
+which not every file system has. The cache of a function consists of data files and an index,
+key -> name of a data file. Numba replaces each file atomically, but numbers the data files from an
+index that it has read earlier. Two processes that compile two signatures of a function at the same
+time may choose the same number, and the index of one may then point to the code of the other. Here
+a hash of the key names the data file. At worst, an entry of the index is lost, and the function is
+compiled once more.
 
 Numba notices when the source file of a cached function changes, but not when functions from other
 files, compiled into it, change. ``compiled`` makes those files part of the key.
@@ -24,8 +25,7 @@ import hashlib
 import logging
 import os
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -34,7 +34,6 @@ import numba as nb
 from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
-NAME = ".trl_explore.lock"
 SIZE, DIGEST = 8, hashlib.sha256().digest_size
 """The bytes that hold the length of what numba has written, and its digest."""
 logger = logging.getLogger(__name__)
@@ -82,6 +81,8 @@ class SourceCache(FunctionCache):
     digest = ""
 
     def __init__(self, function: Callable[..., Any]) -> None:
+        if os.path.expanduser("~") == "~":  # noqa: PTH111  (the user has no home)
+            os.environ.setdefault("XDG_CACHE_HOME", os.devnull)  # numba would make a folder ~
         super().__init__(function)
         stamp = self._impl.locator.get_source_stamp()
         self._cache_file = _Files(self._cache_path, self._impl.filename_base, stamp)
@@ -115,15 +116,12 @@ _warned: list[str] = []
 
 
 class _Files(IndexDataCacheFile):
-    """The files of a function's cache, used under a lock and checked by their digests."""
+    """The files of a function's cache, named by their keys and checked by their digests."""
 
     def save(self, key: Any, data: Any) -> None:
-        with _lock(Path(self._cache_path), exclusive=True):
-            super().save(key, data)
-
-    def load(self, key: Any) -> Any:
-        with _lock(Path(self._cache_path), exclusive=False):
-            return super().load(key)
+        name = self._data_name(int(hashlib.sha256(repr(key).encode()).hexdigest()[:16], 16))
+        self._save_data(name, data)
+        self._save_index({**self._load_index(), key: name})
 
     def _dump(self, obj: Any) -> bytes:
         data = super()._dump(obj)
@@ -140,7 +138,7 @@ def _is_whole(path: Path) -> bool:
     """Whether a file ends with what ``_Files._dump`` returned."""
     try:
         content = path.read_bytes()
-    except FileNotFoundError:
+    except OSError:  # missing, or another user's
         return False
     end = len(content) - SIZE - DIGEST
     start = end - int.from_bytes(content[end : end + SIZE], "little")
@@ -148,23 +146,6 @@ def _is_whole(path: Path) -> bool:
     if not whole:
         logger.debug("damaged: %s", path)
     return whole
-
-
-@contextmanager
-def _lock(folder: Path, *, exclusive: bool) -> Iterator[None]:
-    """Hold the lock of a folder; no lock if it is read-only or the system has no ``fcntl``."""
-    try:
-        import fcntl
-
-        file = os.open(folder / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-    except (ImportError, OSError):  # fcntl exists on Unix only
-        yield
-        return
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH)
-        yield
-    finally:
-        os.close(file)
 
 
 class _CompileTime(event.Listener):
