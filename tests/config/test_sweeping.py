@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import threading
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from trl_explore import config as configuration
 from trl_explore.config import sweeping
 from trl_explore.config.files import CONF
 from trl_explore.config.hydra_plugins import Composer
+from trl_explore.jobs import sweep_files
 
 JOBS = [
     "",
@@ -99,3 +101,20 @@ def test_a_thread_of_joblib_prints_no_traceback(module, capsys, monkeypatch):
     thread.start()
     thread.join()
     assert ("Traceback" in capsys.readouterr().err) == (module == "elsewhere")
+
+
+def test_an_error_of_this_attempt_alone_is_not_recorded(tmp_path, monkeypatch):
+    """Another process that runs the job records the outcome."""
+    monkeypatch.setattr(sweeping, "is_multirun", lambda: True)
+    (tmp_path / "sweep" / "another job").mkdir(parents=True)
+    for name, record in (("in use", False), ("failed", True)):
+        sweeping.end_job(tmp_path / "sweep" / name, name, record=record)
+    assert sweep_files.read_failures(tmp_path / "sweep") == {"failed": "failed"}
+
+
+def test_jobs_that_ended_before_a_sweep_do_not_belong_to_it(tmp_path):
+    for name, ended in (("before", 100), ("during", 300)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").touch()
+        os.utime(tmp_path / name / "run.json", (ended, ended))
+    assert sweeping._since(tmp_path, 200) == [tmp_path / "during"]

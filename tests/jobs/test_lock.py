@@ -138,3 +138,20 @@ def test_a_file_deleted_before_it_was_locked_is_not_held(tmp_path, monkeypatch):
     with Lock(job):
         assert len(calls) == 2
         assert is_locked(job)
+
+
+def test_two_processes_may_look_at_once(tmp_path):
+    (tmp_path / NAME).touch()
+    with (tmp_path / NAME).open() as other:
+        fcntl.flock(other, fcntl.LOCK_SH)
+        assert not is_locked(tmp_path)
+
+
+def test_a_released_lock_keeps_no_file_open(tmp_path):
+    lowest = os.dup(0)
+    os.close(lowest)
+    with Lock(tmp_path / "job"):
+        pass
+    again = os.dup(0)
+    os.close(again)
+    assert again == lowest
