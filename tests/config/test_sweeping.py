@@ -10,12 +10,13 @@ from typing import Any
 import pytest
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.utils import JobReturn
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
 from trl_explore import config as configuration
-from trl_explore.config import sweeping
+from trl_explore.config import hydra_plugins, sweeping
 from trl_explore.config.files import CONF
 from trl_explore.config.hydra_plugins import Composer
 
@@ -99,3 +100,22 @@ def test_a_thread_of_joblib_prints_no_traceback(module, capsys, monkeypatch):
     thread.start()
     thread.join()
     assert ("Traceback" in capsys.readouterr().err) == (module == "elsewhere")
+
+
+def test_jobs_that_were_not_planned_are_those_that_the_launcher_returns(tmp_path, monkeypatch):
+    """However old their files are: a repeated search finds its jobs finished."""
+
+    class Launcher:
+        def launch(self, names):
+            ended = [JobReturn() for _ in names]
+            for name, returned in zip(names, ended, strict=True):
+                folder = {"hydra": {"runtime": {"output_dir": str(tmp_path / name)}}}
+                sweeping.Sweep().on_job_end(OmegaConf.create(folder), job_return=returned)
+            return [*ended, JobReturn()]  # of the last one, nothing is known
+
+    monkeypatch.setattr(hydra_plugins, "get_class", lambda name: Launcher)
+    for _ in range(2):  # noted once, however many sweeps the process has run
+        noted = []
+        hydra_plugins.note_folders("a launcher", noted.append)
+        assert len(Launcher().launch("ab")) == 3
+        assert noted == [tmp_path / "a", tmp_path / "b"]

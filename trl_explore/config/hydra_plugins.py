@@ -24,6 +24,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.plugins.sweeper import Sweeper
+from hydra.utils import get_class
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from trl_explore.checks import first_line
@@ -133,6 +134,22 @@ def await_all(launcher: str, end: Callable[[str], None]) -> None:
         _await_submitit(end)
     elif ".hydra_ray_launcher." in launcher:
         _await_ray(end)
+
+
+def note_folders(launcher: str, note: Callable[[Path], None]) -> None:
+    """Call ``note`` with the folder of every job that a launcher returns (see ``Sweep``)."""
+    kind = get_class(launcher)
+    launch = getattr(kind.launch, "__wrapped__", kind.launch)
+
+    @wraps(launch)
+    def launch_and_note(*arguments: Any, **options: Any) -> Sequence[JobReturn]:
+        returned = launch(*arguments, **options)
+        for job in returned:
+            if job.working_dir is not None:
+                note(Path(job.working_dir))
+        return returned
+
+    kind.launch = launch_and_note
 
 
 def _ended() -> JobReturn:
