@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -119,3 +120,10 @@ def test_jobs_that_were_not_planned_are_those_that_the_launcher_returns(tmp_path
         hydra_plugins.note_folders("a launcher", noted.append)
         assert len(Launcher().launch("ab")) == 3
         assert noted == [tmp_path / "a", tmp_path / "b"]
+
+
+def test_what_a_launcher_sends_with_each_job_does_not_grow_with_the_sweep():
+    sweep = sweeping.Sweep()
+    sweep.folders, sweep.jobs = [Path(f"/sweep/{n}") for n in range(1000)], 1000
+    assert pickle.loads(pickle.dumps(sweep)).jobs == 1000
+    assert len(pickle.dumps(sweep)) < 500

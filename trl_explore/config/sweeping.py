@@ -68,8 +68,10 @@ class Sweep(Callback):
     def __init__(self) -> None:
         self.folders: list[Path] = []
         """The folder of each job, in order of job numbers; empty if the jobs cannot be composed."""
-        self.others: set[int] = set()
-        """The numbers of jobs whose folder belongs to an earlier job of another configuration."""
+        self.jobs = 0
+        """The number of jobs."""
+        self.repeated: set[int] = set()
+        """The numbers of jobs that equal an earlier job, as in ``1,1.0``."""
         self.place: Path | None = None
         """The folder of the sweep, where Hydra writes ``multirun.yaml``."""
         self.missing = ""
@@ -88,11 +90,11 @@ class Sweep(Callback):
                     sweep_files.begin_sweep(self.place, [])
                     note_folders(config.hydra.launcher._target_, Process.launched.append)
                     return
-                folders, self.others = plan(config)
+                folders, self.repeated = plan(config)
                 for sweep, names in _by_sweep(folders).items():
                     sweep.mkdir(parents=True, exist_ok=True)
                     sweep_files.begin_sweep(sweep, names)
-                self.folders = folders
+                self.folders, self.jobs = folders, len(folders)
             await_all(config.hydra.launcher._target_, Process.reasons.append)
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **arguments: Any) -> None:
@@ -107,10 +109,12 @@ class Sweep(Callback):
     def on_job_start(self, config: DictConfig, **arguments: Any) -> None:
         """Record whether the job that starts in this process is a duplicate."""
         number = OmegaConf.select(config, "hydra.job.num", throw_on_missing=False)
-        planned = isinstance(number, int) and number < len(self.folders)
-        Process.place = (number, len(self.folders)) if planned else (0, 1)
-        planned = planned and number not in self.others
-        Process.repeated = planned and self.folders.index(self.folders[number]) < number
+        planned = isinstance(number, int) and number < self.jobs
+        Process.place = (number, self.jobs) if planned else (0, 1)
+        Process.repeated = number in self.repeated
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "folders": []}  # a process of a launcher runs one of many jobs
 
 
 class Process:
@@ -119,7 +123,7 @@ class Process:
     leads = False
     """Whether it started the sweep; if not, a launcher started this process to run jobs."""
     repeated = False
-    """Whether its job is a duplicate in its sweep, as in ``1,1.0``."""
+    """Whether its job equals an earlier one of its sweep."""
     place: tuple[int, int] = (0, 1)
     """The number of its job, from 0, and the number of jobs of the sweep."""
     frozen = False
