@@ -87,6 +87,17 @@ from trl_explore.jobs.lock import Lock
 (folder,) = Path('{0}/debug').glob('*argmax*')
 sys.held = Lock(folder).__enter__()
 """
+LATE = """
+import os, signal, time
+from trl_explore.jobs import signals, writing
+signals.PATIENCE, write = 0.01, writing.write_whole
+def slowly(path, data):
+    writing.write_whole = write
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(0.05)
+    write(path, data)
+writing.write_whole = slowly
+"""
 SNAPSHOT = """
 import json
 def seen():
@@ -154,6 +165,8 @@ def ran(place, run_many):
     left += "(folder / 'checkpoint').mkdir(); (folder / 'checkpoint' / 'a.safetensors').touch()"
     steps.append(python(left))
     do("left over", *SWEEP, into="hang")
+    steps.append(LATE)
+    do("late", *JOB, "strategy=argmax", into="late")
     results = run_many(steps, place)
     return dict(zip(jobs, results, strict=True))
 
@@ -405,3 +418,11 @@ def test_a_folder_that_loses_its_permission(tmp_path):
     assert "Traceback" not in text
     assert set(job.rglob("*.safetensors")) >= set(kept)
     assert not (job / "run.json").exists()
+
+
+def test_a_signal_while_the_results_are_written_waits_until_they_are(ran, place):
+    """However long that takes: what was trained is not lost."""
+    assert ran["late"].returncode == 143
+    (job,) = (place / "late" / "debug").iterdir()
+    assert (job / "run.json").is_file()
+    assert not (job / "checkpoint").exists()

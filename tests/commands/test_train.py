@@ -25,6 +25,9 @@ from tests.commands.trained import (
     names,
     results_below,
 )
+from trl_explore.commands.job import check_same
+from trl_explore.config import ConfigError
+from trl_explore.jobs import versions
 from trl_explore.jobs.columns import (
     EPISODE_COLUMNS,
     LEARN_COLUMNS,
@@ -359,3 +362,11 @@ def test_an_interrupted_job_leaves_no_results(tmp_path):
     (line,) = stderr.splitlines()
     assert line.startswith("interrupted")
     assert not results_below(tmp_path)
+
+
+def test_a_finished_job_outlives_a_change_of_the_program(tmp_path):
+    values = {"seed": 0}
+    record = {"config": values, "versions": versions(), "code": {"trl_explore": "before"}}
+    check_same(tmp_path, record, values, finished=True)
+    with pytest.raises(ConfigError, match="code of trl_explore has changed"):
+        check_same(tmp_path, record, values, finished=False)

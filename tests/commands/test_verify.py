@@ -81,6 +81,20 @@ def scale(by):
     return change
 
 
+def not_a_number(job):
+    """In one trial; the weights of the others differ too."""
+    weights = load_file(job / "weights.safetensors")
+    for w in weights.values():
+        w *= 2
+        w[0] = np.nan
+    save_file(weights, job / "weights.safetensors")
+
+
+def other_names(job):
+    weights = load_file(job / "weights.safetensors")
+    save_file({f"old.{k}": w for k, w in weights.items()}, job / "weights.safetensors")
+
+
 def other_score(job):
     lines = (job / "episodes.csv").read_text().splitlines()
     trial, iteration, score, frames = lines[14].split(",")
@@ -93,7 +107,9 @@ def other_score(job):
     ("change", "status", "words"),
     [
         (scale(1 + 1e-6), 0, "equal within rounding"),
-        (scale(1.1), 1, "different"),
+        (scale(1.0001), 1, "different"),
+        (not_a_number, 1, "different: weights"),
+        (other_names, 1, "different names or shapes of weights"),
         (other_score, 1, "different from"),
     ],
 )

@@ -20,6 +20,7 @@ from trl_explore import config as configuration
 from trl_explore.config import hydra_plugins, sweeping
 from trl_explore.config.files import CONF
 from trl_explore.config.hydra_plugins import Composer
+from trl_explore.jobs import sweep_files
 
 JOBS = [
     "",
@@ -127,3 +128,12 @@ def test_what_a_launcher_sends_with_each_job_does_not_grow_with_the_sweep():
     sweep.folders, sweep.jobs = [Path(f"/sweep/{n}") for n in range(1000)], 1000
     assert pickle.loads(pickle.dumps(sweep)).jobs == 1000
     assert len(pickle.dumps(sweep)) < 500
+
+
+def test_an_error_of_this_attempt_alone_is_not_recorded(tmp_path, monkeypatch):
+    """Another process that runs the job records the outcome."""
+    monkeypatch.setattr(sweeping, "is_multirun", lambda: True)
+    (tmp_path / "sweep" / "another job").mkdir(parents=True)
+    for name, record in (("in use", False), ("failed", True)):
+        sweeping.end_job(tmp_path / "sweep" / name, name, record=record)
+    assert sweep_files.read_failures(tmp_path / "sweep") == {"failed": "failed"}

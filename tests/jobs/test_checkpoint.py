@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -297,6 +298,17 @@ def test_a_history_that_has_gone_is_known_to_be_lost(tmp_path):
     assert not store.lost()
     (store.folder / HISTORY).unlink()
     assert store.lost()
+
+
+def test_a_removal_that_was_broken_off_leaves_no_checkpoint(tmp_path, monkeypatch):
+    def killed(folder):
+        raise OSError("killed")
+
+    fill(Store(tmp_path), 1, 3)
+    monkeypatch.setattr(shutil, "rmtree", killed)
+    with pytest.raises(OSError, match="killed"):
+        Store(tmp_path).clear()
+    assert Store(tmp_path).load() == (None, [])
 
 
 def test_a_slot_that_cannot_be_opened_is_like_a_damaged_one(tmp_path):

@@ -196,6 +196,7 @@ def test_the_table_of_a_sweep():
             learned_score=np.array([500.0, 9, 391]),
         ),
         outcome("argmax", [1000, 900, 1000], ["capped", "converged", "capped"]),
+        outcome("worse", [7, 1000, 600], ["diverged", "capped", "converged"]),
         outcome("broken", [7, 500, 600, 3], ["diverged", "converged", "converged", "diverged"]),
     ]
     text = table(iter(jobs))
@@ -208,6 +209,7 @@ def test_the_table_of_a_sweep():
     assert [" ".join(row.split()) for row in rows] == [
         "softmax 3 3 (100%) 120 2 (67%) 45 150.0 300.0 37,035 7.2",
         "argmax 3 1 (33%) > 1000 – – 150.0 – 37,035 7.2",
+        "worse 3 1 (33%), 1 diverged > 1000 – – 150.0 – 37,035 7.2",
         "broken 4 2 (50%), 2 diverged 600 – – 150.0 – 49,380 7.2",
     ]
     ends = [len(row) for row in rows]

@@ -146,3 +146,20 @@ def test_waiting_for_a_lock_ends_when_it_is_released(tmp_path):
     threading.Timer(0.3, held.release).start()
     with Lock(tmp_path / "job", wait=True):
         assert held._file < 0
+
+
+def test_two_processes_may_look_at_once(tmp_path):
+    (tmp_path / NAME).touch()
+    with (tmp_path / NAME).open() as other:
+        fcntl.flock(other, fcntl.LOCK_SH)
+        assert not is_locked(tmp_path)
+
+
+def test_a_released_lock_keeps_no_file_open(tmp_path):
+    lowest = os.dup(0)
+    os.close(lowest)
+    with Lock(tmp_path / "job"):
+        pass
+    again = os.dup(0)
+    os.close(again)
+    assert again == lowest

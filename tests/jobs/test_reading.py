@@ -155,11 +155,15 @@ def test_files_without_the_columns_of_the_measures_are_read(job):
         (",True,2,41", ",True,2,42", "frames_to_pass contradicts passed or frames"),
         (",True,2,41", ",maybe,2,41", "column passed holds 'maybe'"),
         (",iterations_to_pass", ",other", "missing column: iterations_to_pass"),
+        ("\n12,", "\n13,", "the trials are not consecutive"),
+        (",frames_to_pass\n", ",frames_to_pass,score\n", "duplicate column score"),
     ],
 )
 def test_measures_that_contradict_the_trials_are_refused(job, old, new, complaint):
     path = job / "trials.csv"
-    path.write_text(path.read_text().replace(old, new))
+    header, *rows = path.read_text().replace(old, new).splitlines()
+    more = "," * (header.count(",") - rows[0].count(","))
+    path.write_text("\n".join([header, *(row + more for row in rows), ""]))
     with pytest.raises(ResultsError, match=complaint):
         results.read_trials(job)
 

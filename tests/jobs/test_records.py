@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -150,6 +151,21 @@ def test_damaged_evaluations_are_refused(job, change, complaint):
     edit(job / "evaluations.csv", change)
     with pytest.raises(ResultsError, match=complaint):
         read_evaluations(job)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("evaluate_episodes", 10**6), ("evaluate_every", 10**40)]
+)
+def test_a_damaged_number_of_evaluations_takes_no_memory(job, key, value):
+    run = json.loads((job / "run.json").read_text())
+    run["config"][key] = value
+    (job / "run.json").write_text(json.dumps(run))
+    tracemalloc.start()
+    with pytest.raises(ResultsError, match=r"evaluations\.csv"):
+        read_evaluations(job)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 10**7
 
 
 def test_evaluations_that_nobody_asked_for_are_refused(job):

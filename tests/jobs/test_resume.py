@@ -18,7 +18,7 @@ from trl_explore.collectors import FusedCollector, TorchRLCollector
 from trl_explore.config import CONF
 from trl_explore.config.checking import options
 from trl_explore.jobs import resume
-from trl_explore.jobs.checkpoint import Store, pack
+from trl_explore.jobs.checkpoint import HISTORY, Store, pack
 from trl_explore.jobs.resume import Saver, restore
 from trl_explore.jobs.signals import Interrupted, Interrupts
 from trl_explore.objectives import ReinforceLoss
@@ -217,11 +217,43 @@ def test_what_was_broken_off_within_an_iteration_is_thrown_away(file, build, tmp
     assert saver.saved == 0
     saver.rescue()
     assert 0 < saver.saved <= trainer.trials.iteration
+    saver._due = 0.0
+    monkeypatch.setattr(store, "save", None)
+    saver(trainer.trials)  # of a thread that still runs the iteration
     again = make()
     found, _ = Store(tmp_path).load()
     assert found is not None
     restore(again, found)
     assert again.trials.iteration == saver.saved
+    again.run()
+    assert outcome(again) == outcome(straight)
+
+
+def test_a_history_that_has_gone_is_written_again_from_the_beginning(build, tmp_path):
+    def make():
+        return build(Softmax(), 2, **{**SMALL, "score_threshold": 1e9})
+
+    straight = make()
+    straight.run()
+    trainer, store = make(), Store(tmp_path)
+    saver = saver_of(store, trainer)
+
+    def on_iteration(trials) -> None:
+        if trials.iteration == 4:
+            (store.folder / HISTORY).unlink()
+        saver(trials)
+        if trials.iteration == 5:
+            raise StopError
+
+    trainer.on_iteration = on_iteration
+    with pytest.raises(StopError):
+        trainer.run()
+    again = make()
+    found, damaged = Store(tmp_path).load()
+    assert found is not None
+    assert damaged == []
+    restore(again, found)
+    assert again.trials.iteration == 5
     again.run()
     assert outcome(again) == outcome(straight)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 from subprocess import CalledProcessError
@@ -130,3 +131,25 @@ def test_a_signal_after_the_last_iteration_ends_the_job(monkeypatch):
     handled = Interrupts(lambda: None)
     with pytest.raises(Interrupted), handled, handled.deferred():
         os.kill(os.getpid(), signal.SIGTERM)
+
+
+def test_a_hangup_that_is_ignored_stays_ignored():
+    """``nohup`` ignores it for the program that it starts."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Interrupts(lambda: None):
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_second_signal_does_not_break_off_the_last_words(interrupts, monkeypatch):
+    class Slow(io.StringIO):
+        def flush(self):
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("sys.stderr", Slow())
+    with pytest.raises(SystemExit) as ended:
+        signals.leave(Interrupted(signal.SIGINT))
+    assert ended.value.code == 130
+    assert interrupts.pending is None

@@ -35,6 +35,13 @@ def test_runs_are_judged_over_the_same_steps_whatever_their_interval():
                                rtol=1e-4)  # fmt: skip
 
 
+def test_a_run_that_passes_at_the_last_step_has_passed():
+    (task,) = tasks([ramp("a", 0, 1000, 0.1), ramp("b", 0, 1000, 0.09)], threshold=99)
+    assert [(c.passed.tolist(), c.time.tolist()) for c in task.configurations] == [
+        ([True], [1000]), ([False], [1000]),
+    ]  # fmt: skip
+
+
 def test_a_run_that_was_cut_off_is_censored_and_one_that_diverged_never_passes():
     runs = [
         *(ramp("a", seed, 1000, 0.1) for seed in range(4)),

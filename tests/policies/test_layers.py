@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 import torch
 from scipy import stats
+from torchrl.envs import CatFrames
 
+from trl_explore.envs import make_env
 from trl_explore.policies import INITS, initial_weights
+from trl_explore.policies.layers import n_features, spec_env
 
 
 @pytest.mark.parametrize("trials", [1, 30, 400])
@@ -135,3 +138,18 @@ def test_what_does_not_exist():
             initial_weights([4, size, 2], 3)
     with pytest.raises(ValueError, match=r"layer.*<= 1000000.*10000000"):
         initial_weights([4, 10**7, 2], 3)
+
+
+def test_specs_come_from_before_the_counting_transforms_unless_others_change_them():
+    plain, stacked = (
+        make_env(trials=2),
+        make_env(trials=2, transforms=[CatFrames(3, dim=-1, in_keys=["observation"])]),
+    )
+    assert spec_env(plain) is plain.base_env
+    assert spec_env(stacked) is stacked
+    assert spec_env(plain.base_env) is plain.base_env
+    for env in (plain, stacked):
+        assert spec_env(env).action_spec == env.action_spec
+        expected = env.observation_spec["observation"]
+        assert spec_env(env).observation_spec["observation"] == expected
+    assert (n_features(plain), n_features(stacked)) == (4, 12)

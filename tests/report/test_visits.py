@@ -59,3 +59,14 @@ def test_an_unreadable_file_is_a_gap(job, data):
 
 def test_without_the_file_there_is_no_figure(job):
     assert not visits.applies(found(job).groups[0])
+
+
+def test_one_of_two_configurations_was_not_recorded(job, make_job):
+    write_visits(job)
+    make_job(job.parent, "argmax", [100, 120], env="FrozenLake-v1", strategy="argmax")
+    (group,) = evidence.gather(load([job.parent])).groups
+    assert visits.applies(group)
+    with visual_language():
+        caption = visits.draw(group)[1]
+    assert "softmax: 2 of 6" in caption
+    assert "argmax: not recorded" in caption

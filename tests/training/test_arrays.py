@@ -24,9 +24,8 @@ IDS = {"CartPole-v1": 500, "Acrobot-v1": 40, "FrozenLake-v1": 40}
 class Framewise(ReinforceLoss):
     """The same loss, which reads every iteration's TensorDict."""
 
-    @property
-    def reads_arrays(self):
-        return False
+    def array_backward(self):
+        return None
 
 
 class Counting(ReinforceLoss):
@@ -34,9 +33,14 @@ class Counting(ReinforceLoss):
 
     count = 0
 
-    def backward_arrays(self, frames):
-        type(self).count += 1
-        return super().backward_arrays(frames)
+    def array_backward(self):
+        own = super().array_backward()
+
+        def counted(frames):
+            type(self).count += 1
+            return own(frames)
+
+        return None if own is None else counted
 
 
 def strategy(name):
@@ -101,7 +105,7 @@ def test_other_losses_read_the_frames(options, build):
     trainer = build(
         Softmax(), collector=FusedCollector, loss=partial(Counting, **options), max_iterations=3
     )
-    assert not trainer.loss.reads_arrays
+    assert trainer.loss.array_backward() is None
     trainer.run()
     assert Counting.count == 0
 
@@ -129,7 +133,7 @@ def test_renamed_entries_are_read_from_the_frames(build):
     one.loss.set_keys(reward="episode_reward")
     one.run()
     two.run()
-    assert not one.loss.reads_arrays
+    assert one.loss.array_backward() is None
     assert not torch.equal(*(t.optimizer.parameters[0].detach() for t in (one, two)))
 
 
@@ -218,16 +222,16 @@ def test_hooks_of_the_weights_are_called(build):
     assert len(seen) == 3
 
 
-def test_a_strategy_that_declares_to_need_no_data_gets_their_number(train):
+def test_a_strategy_that_needs_no_data_gets_their_number(train):
     class Curious(EpsilonGreedy):
-        learns_from_data = False
         sizes: list[int] = []  # noqa: RUF012
 
-        def step(self, frames=None):
-            self.sizes.append(len(frames))
-            super().step(frames)
+        def advance(self, frames):
+            self.sizes.append(frames)
+            super().advance(frames)
 
     trainer = train(Curious(), collector=FusedCollector)
+    assert len(Curious.sizes) == trainer.trials.iteration
     assert (
         sum(Curious.sizes) == trainer.trials.frames.sum() == int(trainer.collector.strategy.frames)
     )

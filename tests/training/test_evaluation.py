@@ -22,6 +22,7 @@ from trl_explore.policies.actor import SoftmaxActor
 from trl_explore.statistics.evaluations import decide, stages
 from trl_explore.strategies import EpsilonGreedy, ParameterNoise
 from trl_explore.training.diagnostics import COLUMNS, Diagnostics
+from trl_explore.training.evaluation import SCHEDULED
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -231,6 +232,24 @@ def test_diverged_trials_keep_their_last_evaluation():
     assert evaluator.learned_score[0] == last.mean()
     assert not ((evaluator.rows()["trial"] == 0) & (evaluator.rows()["purpose"] == 2)).any()
     assert (evaluator.iterations_to_learn[0], evaluator.frames_to_learn[0]) == (24, 999)
+
+
+def test_a_trial_that_has_diverged_is_not_evaluated():
+    overrides = ["trials=2", "max_iterations=4", "evaluate_every=1"]
+    trainer = build_trainer(compose("train", overrides, return_hydra_config=True))
+
+    def breakage(trials) -> None:
+        if trials.iteration == 2:
+            with torch.no_grad():
+                trainer.collector.policy[0].weight[0] = torch.nan
+
+    trainer.on_iteration = breakage
+    assert trainer.run().status.tolist() == ["diverged", "capped"]
+    rows = trainer.evaluator.rows()
+    of = rows["purpose"] == SCHEDULED
+    assert [rows["iteration"][of & (rows["trial"] == k)].tolist() for k in (0, 1)] == [
+        [0, 1, 2], [0, 1, 2, 3, 4],
+    ]  # fmt: skip
 
 
 def test_evaluations_survive_a_checkpoint():

@@ -312,3 +312,13 @@ def test_adam_takes_a_gradient_of_any_layout():
     LaneAdam([one]).step()
     LaneAdam([other]).step()
     assert torch.equal(one, other)
+
+
+def test_adam_follows_parameters_whose_memory_has_moved():
+    weight = nn.Parameter(torch.zeros(2, 1))
+    adam = LaneAdam([weight], lr=0.5)
+    for _ in range(2):
+        weight.data = torch.ones(2, 1)
+        weight.grad = torch.ones(2, 1)
+        adam.step()
+        assert weight.flatten().tolist() == pytest.approx([0.5, 0.5])

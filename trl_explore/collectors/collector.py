@@ -20,6 +20,7 @@ from trl_explore.checks import check_integer
 from trl_explore.envs import LaneVectorEnv, lane_env
 from trl_explore.envs.checking import check_resumable
 from trl_explore.numerics.surrogate import FrameArrays
+from trl_explore.policies.layers import spec_env
 from trl_explore.strategies import BaseStrategy
 
 
@@ -143,7 +144,7 @@ class EpisodeCollector(BaseCollector):
                 f"its last module is a {type(strategy).__name__}"
             )
         self.strategy = strategy
-        self.strategy.set_spec(env.action_spec)
+        self.strategy.set_spec(spec_env(env).action_spec)
         self.strategy.bind(
             policy[0], lanes.num_envs, seed=lanes.seed, first_trial=lanes.first_trial
         )

@@ -15,7 +15,7 @@ from torchrl.envs import CatFrames, DTypeCastTransform, Transform, TransformedEn
 
 from trl_explore.checks import holds
 from trl_explore.collectors.compiled_policies import Network, gaussian_of, network_of
-from trl_explore.policies.layers import has_hooks, is_one_hot, n_actions, n_dims
+from trl_explore.policies.layers import has_hooks, is_one_hot, n_actions, n_dims, spec_env
 from trl_explore.strategies import BaseStrategy, ContinuousMixtureStrategy, MixtureStrategy
 
 PASSING = [kind._inv_call for kind in (Transform, CatFrames, DTypeCastTransform)]
@@ -28,7 +28,7 @@ class NotCompilableError(ValueError):
 
 def has_mask(env: TransformedEnv) -> bool:
     """Whether an environment has action masks."""
-    return env.observation_spec.get("action_mask", None) is not None
+    return spec_env(env).observation_spec.get("action_mask", None) is not None
 
 
 def check_mixture(strategy: Any, *, continuous: bool = False) -> None:
@@ -116,7 +116,7 @@ def mixture_array(point: Sequence[Any], trials: int) -> NDArray[np.float64]:
     Raises:
         ValueError: if an entry does not have one value, or one for every trial.
     """
-    if all(isinstance(value, float) for value in point):
+    if all([type(value) is float for value in point]):  # noqa: C419 - faster
         return np.array(point).reshape(4, 1)
     columns = np.broadcast_arrays(*map(np.atleast_1d, point))
     if columns[0].shape not in ((1,), (trials,)):

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trl_explore import config as configuration
 from trl_explore import jobs as results
@@ -59,16 +61,25 @@ def verify(job: RecordedJob, place: tuple[int, int] = (0, 1)) -> str:
         wrong = job.trials[name].to_numpy() != np.asarray(getattr(trials, name))
         if wrong.any():
             return f"different {name} of trial {first + int(np.argmax(wrong))}"
-    error = 0.0
-    for name, old in results.read_weights(job.folder).items():
-        if old.shape != weights[name].shape:
-            return f"different shape of {name}"
-        if not np.array_equal(old, weights[name], equal_nan=True):
-            error = max(error, float(np.abs(old - weights[name]).max() / np.abs(old).max()))
+    recorded = results.read_weights(job.folder)
+    if {name: w.shape for name, w in recorded.items()} != {k: w.shape for k, w in weights.items()}:
+        return "different names or shapes of weights"
+    error = max(_distance(old, weights[name]) for name, old in recorded.items())
     if error == 0:
         return SAME
     how = f"weights differ by up to {error:.1g} of the largest"
     return f"{CLOSE} ({how})" if error <= TOLERANCE else f"different: {how}"
+
+
+def _distance(old: NDArray[Any], new: NDArray[Any]) -> float:
+    """The largest difference of weights, relative to the largest; of a NaN to a number, ∞."""
+    differs = (old != new) & ~(np.isnan(old) & np.isnan(new))
+    if not differs.any():
+        return 0.0
+    with np.errstate(all="ignore"):
+        largest = np.abs(old[np.isfinite(old)]).max(initial=0.0)
+        distance = np.abs(old - new)[differs].max() / largest
+    return np.inf if np.isnan(distance) else float(distance)
 
 
 def main() -> int:

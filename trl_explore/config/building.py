@@ -19,6 +19,7 @@ from trl_explore.config.importing import import_torchrl
 
 if TYPE_CHECKING:
     from torch import nn
+    from torchrl.envs import TransformedEnv
 
     from trl_explore.objectives.baselines import Baseline
     from trl_explore.training.evaluation import Evaluator
@@ -86,14 +87,22 @@ def build_shards(config: DictConfig, sizes: Sequence[int] | None = None) -> Shar
     return Shards(trainers)
 
 
-def build_trainer(config: DictConfig, rows: slice | None = None) -> Trainer:
-    """Build one trainer for some of a job's trials; None: for all.
+def build_trainer(
+    config: DictConfig, rows: slice | None = None, env: TransformedEnv | None = None
+) -> Trainer:
+    """Build one trainer.
+
+    Args:
+        config: the configuration of a job.
+        rows: some of its trials; None: all.
+        env: the environment of a trainer of equally many trials of the same job that had a
+            ``FusedCollector``, which never steps it; None: build it.
 
     Raises:
         ConfigError: if a value is not allowed.
     """
     _prepare(config)
-    return _build_trainer(config, rows or slice(0, config.trials), announce=rows is None)
+    return _build_trainer(config, rows or slice(0, config.trials), env, announce=rows is None)
 
 
 def _prepare(config: DictConfig) -> None:
@@ -102,13 +111,17 @@ def _prepare(config: DictConfig) -> None:
     check_values(config)
 
 
-def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) -> Trainer:
+def _build_trainer(
+    config: DictConfig, rows: slice, env: TransformedEnv | None = None, *, announce: bool = True
+) -> Trainer:
     """Build the trainer of some of the trials; only one of a job's announces the collector."""
     from tensordict.nn import TensorDictSequential
 
     from trl_explore.collectors import FusedCollector, auto_collector
+    from trl_explore.envs import lane_env
     from trl_explore.envs.checking import remarks
     from trl_explore.policies.actor import actor_of
+    from trl_explore.policies.layers import spec_env
     from trl_explore.training.diagnostics import Diagnostics
     from trl_explore.training.snapshots import Snapshots, Visits
     from trl_explore.training.trainer import Trainer
@@ -132,8 +145,11 @@ def _build_trainer(config: DictConfig, rows: slice, *, announce: bool = True) ->
     make = _environment(config)
     if announce:
         _check_transforms(config, make)
-    env = make(trials=size, **streams)
-    check_actions(config, env.action_spec.domain)
+    if env is None:
+        env = cast("TransformedEnv", make(trials=size, **streams))
+    else:
+        lane_env(env).first_trial = streams["first_trial"]
+    check_actions(config, spec_env(env).action_spec.domain)
     policy = _policy(config)(env=env, **streams)
     baseline = constructor_of(config, "baseline")()
     baseline.bind(env)

@@ -140,10 +140,20 @@ class RecordedJob:
     def trainer(self, trial: int) -> Trainer:
         """The trainer of one trial alone, with that trial's own parameters.
 
-        Evaluation is off if the training does not depend on it.
+        Evaluation is off if the training does not depend on it. If the environment is compiled,
+        the trainers of a job share one, so use them one after the other.
         """
+        from trl_explore.collectors import FusedCollector
+
         row = trial - self.config.first_trial
-        return build_trainer(self._alone, slice(row, row + 1))
+        trainer = build_trainer(self._alone, slice(row, row + 1), self._shared.get("env"))
+        if isinstance(trainer.collector, FusedCollector):
+            self._shared["env"] = trainer.collector.env
+        return trainer
+
+    @cached_property
+    def _shared(self) -> dict[str, Any]:
+        return {}
 
     @cached_property
     def _alone(self) -> DictConfig:

@@ -208,18 +208,19 @@ def read_evaluations(job: Path, purpose: str = "scheduled") -> dict[str, NDArray
         kinds, first, cap, final = np.zeros(len(columns["trial"]), np.int64), 1, 0, 0
     else:
         first, cap, final = 0, config["max_iterations"], FINAL_EPISODES
-    scheduled = [
+    due = [
         (trial, int(i))
         for trial, end in last.items()
         for i in evaluations_until(end, every, cap)
         if i >= first and not (diverged[trial] and i == end)
-        for _ in range(count)
     ]
     finals = [(t, end) for t, end in last.items() if not diverged[t] for _ in range(final)]
     pairs = list(zip(columns["trial"].tolist(), columns["iteration"].tolist(), strict=True))
     found = [sorted(p for p, k in zip(pairs, kinds, strict=True) if k == i) for i in range(3)]
+    # The number first: the list of a damaged number would not fit into memory.
+    scheduled = len(found[0]) == count * len(due) and found[0] == sorted(count * due)
     confirmed = all(trial in last and 0 < i <= last[trial] for trial, i in found[1])
-    if not (found[0] == scheduled and found[2] == finals and confirmed):
+    if not (scheduled and found[2] == finals and confirmed):
         raise ResultsError(f"{where}: its episodes do not match {TRIALS}")
     check_files(job, names=[EVALUATIONS])
     chosen = kinds == PURPOSES.index(purpose)

@@ -189,8 +189,11 @@ def _write_scalars(job: Path, trials: Trials) -> None:
     try:
         logger = CSVLogger(exp_name="curves", log_dir=str(parent))
         for name, curve in trials.curves().items():
-            for step, value in enumerate(curve.tolist(), start=1):
-                logger.log_scalar(name, value, step=step)
+            (_, first), *others = enumerate(curve.tolist(), start=1)
+            logger.log_scalar(name, first, step=1)
+            # The logger flushes after every value; its open file takes the others at once.
+            with list(logger.experiment.files.values())[-1] as file:
+                file.writelines(f"{step},{value}\n" for step, value in others)
         for file in (parent / "curves" / "scalars").iterdir():
             _sync(file)
         (parent / "curves" / "scalars").replace(job / SCALARS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar, cast
 
@@ -111,7 +112,7 @@ class ReinforceLoss(LossModule):
     """Whether ``backward`` may use a closed form instead of ``forward`` and autograd. False in a
     class that overrides ``forward``, unless the class declares it."""
     arrays_suffice: ClassVar[bool] = True
-    """Whether ``backward_arrays`` alone may do the work of ``backward`` and ``step``. False in a
+    """Whether ``array_backward`` alone may do the work of ``backward`` and ``step``. False in a
     class that overrides ``forward`` or a method in ``REPLACED``, unless the class declares it."""
     REPLACED: ClassVar[tuple[str, ...]] = ("backward", "step", "_episodes")
 
@@ -242,29 +243,30 @@ class ReinforceLoss(LossModule):
         cast(Tensor, sum(parts)).backward()
         return losses.get("trial_loss")
 
-    @property
-    def reads_arrays(self) -> bool:
-        """Whether ``backward_arrays`` does all that ``backward`` and ``step`` do.
+    def array_backward(self) -> Callable[[FrameArrays], Tensor | None] | None:
+        """A function that does all that ``backward`` and ``step`` do, from one array per entry.
 
-        The policy is a linear softmax, A_t = G_t − b, and the entries have their usual names.
-        """
-        plain = self._has_closed_form and self._constant is not None and self.trials is not None
-        own = self.arrays_suffice and holds(self, "arrays_suffice", self.REPLACED)
-        return own and plain and self.tensor_keys == self.default_keys()
-
-    def backward_arrays(self, frames: FrameArrays) -> Tensor | None:
-        """``backward`` of one array per entry; call it only if ``reads_arrays``.
+        It returns "trial_loss", or None if the weights need ``backward``. It keeps the present
+        weights: ask for it when the training begins.
 
         Returns:
-            "trial_loss"; None if these weights need ``backward``.
+            The function, if the policy is a linear softmax, A_t = G_t − b, and the entries have
+            their usual names; else None.
         """
-        parameters = self.actor_network_params if self._functional else None
-        assert self._weight_key is not None
-        assert self._constant is not None
-        weight = weight_of(self.actor_network, parameters, self._weight_key)
+        own = self.arrays_suffice and holds(self, "arrays_suffice", self.REPLACED)
+        constant, key = self._constant, self._weight_key
+        if not (own and self._has_closed_form and self.tensor_keys == self.default_keys()):
+            return None
+        if constant is None or key is None:
+            return None
+        parameters = self.actor_network_params if self.functional else None
+        weight = weight_of(self.actor_network, parameters, key)
         if weight.shape[0] != self.trials:
             return None
-        return closed_form_of_arrays(weight, frames, self.gamma, self._constant, -self.weight)
+        return partial(
+            closed_form_of_arrays, weight,
+            gamma=self.gamma, baseline=constant, scale=-self.weight,
+        )  # fmt: skip
 
     def _closed_form(self, episodes: Episodes, weight: Tensor) -> Tensor | None:
         """``backward`` without a graph; None if the closed form does not apply to these data."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, TypedDict, cast
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torchrl.data import Bounded, Categorical, Unbounded
-from torchrl.envs import EnvBase
+from torchrl.envs import Compose, EnvBase, RewardSum, StepCounter, TransformedEnv
 
 from trl_explore.checks import check_flag, check_integer, check_number
 from trl_explore.numerics.layers import activate, check_activation, lane_linear
@@ -114,9 +114,21 @@ def initial_weights(
     return [torch.from_numpy(weight) for weight in weights]
 
 
+def spec_env(env: EnvBase) -> EnvBase:
+    """The environment to ask for the specs of observations and actions.
+
+    ``StepCounter`` and ``RewardSum`` do not change those, but make all specs slow to compute.
+    """
+    if not isinstance(env, TransformedEnv):
+        return env
+    transform: Any = env.transform
+    kinds = {type(t) for t in (transform if isinstance(transform, Compose) else [transform])}
+    return cast(EnvBase, env.base_env) if kinds <= {StepCounter, RewardSum} else env
+
+
 def n_actions(env: EnvBase) -> int:
     """The number of actions of an environment with a Categorical action spec."""
-    spec = env.action_spec
+    spec = spec_env(env).action_spec
     if not isinstance(spec, Categorical):
         raise ValueError(
             f"a softmax policy needs a Categorical action spec, got {type(spec).__name__}"
@@ -130,7 +142,7 @@ def n_dims(env: EnvBase) -> int:
     Raises:
         ValueError: if the actions are not vectors of real numbers.
     """
-    spec = env.action_spec
+    spec = spec_env(env).action_spec
     if not isinstance(spec, Bounded | Unbounded) or spec.domain != "continuous":
         raise ValueError(
             f"a Gaussian policy needs a Bounded or Unbounded action spec, got {type(spec).__name__}"
@@ -140,7 +152,7 @@ def n_dims(env: EnvBase) -> int:
 
 def n_features(env: EnvBase) -> int:
     """The length of an observation."""
-    return env.observation_spec["observation"].shape[-1]
+    return spec_env(env).observation_spec["observation"].shape[-1]
 
 
 def layer_sizes(env: EnvBase, hidden: Sequence[int], n_out: int) -> list[int]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Unpack
 
-from tensordict import TensorDictBase
 from torch import Tensor
 
 from trl_explore.strategies.discrete import Options
@@ -228,7 +227,6 @@ class FullMixture(MixtureStrategy):
         tensor([0.2500, 0.7500])
     """
 
-    learns_from_data = False
     greedy: Tensor
     softmax: Tensor
     uniform: Tensor
@@ -259,9 +257,9 @@ class FullMixture(MixtureStrategy):
         total = greedy + softmax + uniform
         return Mixture(greedy / total, softmax / total, uniform / total, self.now("temperature"))
 
-    def step(self, frames: TensorDictBase | int | None = None) -> None:
+    def advance(self, frames: int | Tensor) -> None:
         """Advance the schedules, and check that a weight is left."""
-        super().step(frames)
+        super().advance(frames)
         self._check_weights()
 
     def _check_weights(self) -> None:

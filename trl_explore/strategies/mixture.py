@@ -76,11 +76,11 @@ class MixtureFamily(BaseStrategy):
                 weights are negative or do not sum to 1.
         """
         mixture = self.mixture()
-        point = type(mixture)(*numbers(mixture))
-        if all([type(value) is float for value in point]):  # noqa: C419 - faster
-            one, two, three = point[:3]
+        if all([type(value) is float for value in mixture]):  # noqa: C419 - faster
+            one, two, three, _ = mixture
             if min(one, two, three) >= 0 and abs(one + two + three - 1.0) <= 1e-6:
-                return point
+                return mixture
+        point = type(mixture)(*numbers(mixture))
         for name, value in point._asdict().items():
             if not isinstance(value, float) and np.shape(value) not in ((), (trials,)):
                 raise ValueError(

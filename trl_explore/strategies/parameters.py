@@ -137,9 +137,12 @@ class Parametrised(TensorDictModuleBase):
             ValueError: if more than one frame is given as a number, and a schedule counts
                 iterations.
         """
-        number = self._number(frames)
-        self.iteration.data.add_(1)  # data: also if built in ``torch.inference_mode``
-        self.frames.data.add_(number)
+        self.advance(self._number(frames))
+
+    def advance(self, frames: int | Tensor) -> None:
+        """Advance by one iteration with this number of frames; [trials] if counted separately."""
+        _add(self.iteration, 1)
+        _add(self.frames, frames)
         self._refresh()
 
     def keep_pace(self, other: Parametrised) -> None:
@@ -179,3 +182,11 @@ class Parametrised(TensorDictModuleBase):
                     "iterations: give the schedule frames=..., or call step() once per update"
                 )
         return number
+
+
+def _add(buffer: Tensor, number: int | Tensor) -> None:
+    """Add to a buffer in place, also if it was built in ``torch.inference_mode``."""
+    if isinstance(number, int) and buffer.ndim == 0 and readable(buffer):
+        buffer.numpy()[()] += number  # takes less than half the time
+    else:
+        buffer.data.add_(number)

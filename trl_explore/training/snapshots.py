@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 
 from trl_explore.checks import check_integer
 from trl_explore.envs import lane_env
-from trl_explore.policies.layers import is_one_hot
+from trl_explore.policies.layers import is_one_hot, spec_env
 from trl_explore.training.diagnostic_quantities import BINS, PLANES
 
 Weights = dict[str, NDArray[Any]]
@@ -165,7 +165,7 @@ class Visits:
 def _grid(env: EnvBase) -> tuple[int, int]:
     """The rows and columns of the states, where the environment has them; else one row."""
     inner: Any = lane_env(env).envs[0].unwrapped
-    (n_states,) = env.observation_spec["observation"].shape[-1:]
+    (n_states,) = spec_env(env).observation_spec["observation"].shape[-1:]
     shape = getattr(inner, "shape", None) or np.shape(getattr(inner, "desc", ()))
     if len(shape) == 2 and prod(shape) == n_states:
         return int(shape[0]), int(shape[1])

@@ -9,11 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 
-from trl_explore.checks import holds
 from trl_explore.collectors import EpisodeCollector, Rollout
 from trl_explore.numerics.compiled.cache import clock
+from trl_explore.strategies import BaseStrategy
 from trl_explore.training.diagnostics import Diagnostics
 from trl_explore.training.evaluation import Evaluator
 from trl_explore.training.intrinsic import CountReward
@@ -126,12 +126,11 @@ class Trainer:
 
     def _choose_readers(self) -> None:
         """Decide whether loss and strategy read frames; ``run`` asks again when it begins."""
-        loss: Any = self.loss
-        arrays = self.intrinsic is None and getattr(loss, "reads_arrays", False)
-        self._arrays_backward = loss.backward_arrays if arrays else None
+        reader = getattr(self.loss, "array_backward", None) if self.intrinsic is None else None
+        self._arrays_backward = None if reader is None else reader()
         strategy = self.collector.strategy
-        plain = holds(strategy, "learns_from_data", ["step"]) and not strategy.learns_from_data
-        self._strategy_reads = not plain or strategy.frames.ndim > 0
+        own = getattr(strategy.step, "__func__", None) is not BaseStrategy.step
+        self._strategy_reads = own or strategy.frames.ndim > 0
 
     @contextmanager
     def _evaluation(self) -> Iterator[None]:
@@ -219,10 +218,9 @@ class Trainer:
         if self._arrays_backward is None:
             self.loss.step(rollout.frames)
         if self._strategy_reads:
-            frames = rollout.frames
+            self.collector.strategy.step(rollout.frames)
         else:  # their number is enough
-            frames = TensorDict._new_unsafe({}, torch.Size([rollout.count]))
-        self.collector.strategy.step(frames)
+            self.collector.strategy.advance(rollout.count)
 
     def _keep(self, iteration: int) -> None:
         if self.snapshots is not None:

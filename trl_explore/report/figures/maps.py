@@ -156,8 +156,10 @@ def visits(e: GroupEvidence) -> axes.Shown:
     """The shares of the frames in each state, at a few iterations."""
 
     def reached(name: str) -> str:
+        if name not in e.traces.visits:
+            return "not recorded"
         cells = e.traces.visits[name]["reached"][-1]
-        return f"{(cells > 0).sum()} of {cells.size}" if name in e.traces.visits else "not recorded"
+        return f"{(cells > 0).sum()} of {cells.size}"
 
     plain = PLANES.get(e.group.env_id) is None
     what, place = ("states", "state") if plain else ("cells", "cell of a grid of two features")
