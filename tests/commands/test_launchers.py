@@ -191,8 +191,9 @@ def test_what_this_process_has_said_is_said_once(tmp_path, capsys, monkeypatch):
     assert capsys.readouterr().err.splitlines()[0] == "error: a: wrong"
 
 
-def test_what_is_named_twice_is_repeated(tmp_path):
+def test_a_job_that_equals_an_earlier_one_is_repeated(tmp_path):
     sweep, seen = sweep_of(tmp_path, *"aba"), []
+    sweep.jobs, sweep.repeated = 3, {2}
     for number in (0, 1, 2, 3, "???"):
         sweep.on_job_start(OmegaConf.create({"hydra": {"job": {"num": number}}}))
         seen.append(sweeping.Process.repeated)

@@ -40,7 +40,7 @@ def submitit(monkeypatch):
     return submitit
 
 
-def test_every_job_is_awaited_however_the_first_ends(submitit, tmp_path):
+def test_every_job_is_awaited_however_the_first_ends(submitit, tmp_path, monkeypatch):
     missing, done = tmp_path / "missing", tmp_path / "result"
     done.touch()
     trace = (
@@ -53,11 +53,15 @@ def test_every_job_is_awaited_however_the_first_ends(submitit, tmp_path):
         Job(missing, hydra_plugins.GONE),
         Job(done, "FAILED", error=RuntimeError(trace)),
     ]
-    submitit.AutoExecutor.map_array = lambda executor, *arguments: jobs
+    monkeypatch.setattr(hydra_plugins, "ARRAY", 3)  # four jobs are two arrays
+    submitit.AutoExecutor.map_array = lambda executor, run, *arguments: [
+        jobs[place] for place, word in zip(*arguments, strict=True) if run == word == "run"
+    ]
     reasons: list[str] = []
     hydra_plugins.await_all(SLURM, lambda reason: pytest.fail("of an earlier sweep"))
     hydra_plugins.await_all(SLURM, reasons.append)
-    returned = [job.results()[0] for job in submitit.AutoExecutor.map_array(None)]
+    started = submitit.AutoExecutor.map_array(None, "run", range(4), ["run"] * 4)
+    returned = [job.results()[0] for job in started]
     assert all(job.waited for job in jobs)
     assert returned[1] == "returned"
     assert [job.return_value for job in (returned[0], *returned[2:])] == [None] * 3

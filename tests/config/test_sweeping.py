@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.utils import JobReturn
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
 from trl_explore import config as configuration
-from trl_explore.config import sweeping
+from trl_explore.config import hydra_plugins, sweeping
 from trl_explore.config.files import CONF
 from trl_explore.config.hydra_plugins import Composer
 from trl_explore.jobs import sweep_files
@@ -103,6 +104,32 @@ def test_a_thread_of_joblib_prints_no_traceback(module, capsys, monkeypatch):
     assert ("Traceback" in capsys.readouterr().err) == (module == "elsewhere")
 
 
+def test_jobs_that_were_not_planned_are_those_that_the_launcher_returns(tmp_path, monkeypatch):
+    """However old their files are: a repeated search finds its jobs finished."""
+
+    class Launcher:
+        def launch(self, names):
+            ended = [JobReturn() for _ in names]
+            for name, returned in zip(names, ended, strict=True):
+                folder = {"hydra": {"runtime": {"output_dir": str(tmp_path / name)}}}
+                sweeping.Sweep().on_job_end(OmegaConf.create(folder), job_return=returned)
+            return [*ended, JobReturn()]  # of the last one, nothing is known
+
+    monkeypatch.setattr(hydra_plugins, "get_class", lambda name: Launcher)
+    for _ in range(2):  # noted once, however many sweeps the process has run
+        noted = []
+        hydra_plugins.note_folders("a launcher", noted.append)
+        assert len(Launcher().launch("ab")) == 3
+        assert noted == [tmp_path / "a", tmp_path / "b"]
+
+
+def test_what_a_launcher_sends_with_each_job_does_not_grow_with_the_sweep():
+    sweep = sweeping.Sweep()
+    sweep.folders, sweep.jobs = [Path(f"/sweep/{n}") for n in range(1000)], 1000
+    assert pickle.loads(pickle.dumps(sweep)).jobs == 1000
+    assert len(pickle.dumps(sweep)) < 500
+
+
 def test_an_error_of_this_attempt_alone_is_not_recorded(tmp_path, monkeypatch):
     """Another process that runs the job records the outcome."""
     monkeypatch.setattr(sweeping, "is_multirun", lambda: True)
@@ -110,11 +137,3 @@ def test_an_error_of_this_attempt_alone_is_not_recorded(tmp_path, monkeypatch):
     for name, record in (("in use", False), ("failed", True)):
         sweeping.end_job(tmp_path / "sweep" / name, name, record=record)
     assert sweep_files.read_failures(tmp_path / "sweep") == {"failed": "failed"}
-
-
-def test_jobs_that_ended_before_a_sweep_do_not_belong_to_it(tmp_path):
-    for name, ended in (("before", 100), ("during", 300)):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "run.json").touch()
-        os.utime(tmp_path / name / "run.json", (ended, ended))
-    assert sweeping._since(tmp_path, 200) == [tmp_path / "during"]

@@ -140,6 +140,14 @@ def test_a_file_deleted_before_it_was_locked_is_not_held(tmp_path, monkeypatch):
         assert is_locked(job)
 
 
+def test_waiting_for_a_lock_ends_when_it_is_released(tmp_path):
+    held = Lock(tmp_path / "job")
+    held.__enter__()
+    threading.Timer(0.3, held.release).start()
+    with Lock(tmp_path / "job", wait=True):
+        assert held._file < 0
+
+
 def test_two_processes_may_look_at_once(tmp_path):
     (tmp_path / NAME).touch()
     with (tmp_path / NAME).open() as other:

@@ -24,6 +24,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.plugins.sweeper import Sweeper
+from hydra.utils import get_class
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from trl_explore.checks import first_line
@@ -37,6 +38,8 @@ OVER = {
 }  # fmt: skip
 """The states of Slurm from which a job does not return by itself."""
 GONE = "no longer in the queue"
+ARRAY = 1000
+"""The largest array of jobs that Slurm accepts, if its ``MaxArraySize`` is the default."""
 POLL = 60
 """The longest time between two looks at Slurm's queue [s]."""
 
@@ -45,8 +48,7 @@ def plan(config: DictConfig) -> tuple[list[Path], set[int]]:
     """Compose every job of a sweep, one at a time, which detects errors.
 
     Returns:
-        The folder of each job, and the numbers of the jobs whose folder belongs to an earlier job
-        of another configuration.
+        The folder of each job, and the numbers of the jobs that equal an earlier one.
     """
     loader = GlobalHydra.instance().config_loader()
     Sweeper.validate_batch_is_legal = VALIDATE
@@ -57,18 +59,18 @@ def plan(config: DictConfig) -> tuple[list[Path], set[int]]:
     (batch,) = BasicSweeper.split_arguments(overrides, max_batch_size=None)
     folders: list[Path] = []
     first: dict[Path, int] = {}
-    others = set[int]()
+    repeated = set[int]()
     for number, words in enumerate(batch):
         job = composer(config, words)
         with open_dict(job):  # as launchers do: the name of a folder may contain it
             job.hydra.job.id = job.hydra.job.num = number
         folders.append(Path(str(job.hydra.sweep.dir), str(job.hydra.sweep.subdir)).absolute())
         earlier = first.setdefault(folders[-1], number)
-        if earlier != number and _values(job) != _values(composer(config, batch[earlier])):
-            others.add(number)
+        if earlier != number and _values(job) == _values(composer(config, batch[earlier])):
+            repeated.add(number)
     # The loop above has done it. Hydra loads the module of BasicSweeper again, but not this one.
     Sweeper.validate_batch_is_legal = lambda self, batch: None
-    return folders, others
+    return folders, repeated
 
 
 def _values(job: DictConfig) -> Any:
@@ -135,6 +137,22 @@ def await_all(launcher: str, end: Callable[[str], None]) -> None:
         _await_ray(end)
 
 
+def note_folders(launcher: str, note: Callable[[Path], None]) -> None:
+    """Call ``note`` with the folder of every job that a launcher returns (see ``Sweep``)."""
+    kind = get_class(launcher)
+    launch = getattr(kind.launch, "__wrapped__", kind.launch)
+
+    @wraps(launch)
+    def launch_and_note(*arguments: Any, **options: Any) -> Sequence[JobReturn]:
+        returned = launch(*arguments, **options)
+        for job in returned:
+            if job.working_dir is not None:
+                note(Path(job.working_dir))
+        return returned
+
+    kind.launch = launch_and_note
+
+
 def _ended() -> JobReturn:
     """What the launcher returns for a job whose outcome is read from its files."""
     returned = JobReturn(status=JobStatus.COMPLETED)
@@ -169,8 +187,10 @@ def _await_submitit(end: Callable[[str], None]) -> None:
     start = getattr(AutoExecutor.map_array, "__wrapped__", AutoExecutor.map_array)
 
     @wraps(start)
-    def map_array(executor: Any, *arguments: Any) -> list[_Awaited]:
-        return [_Awaited(job, end) for job in start(executor, *arguments)]
+    def map_array(executor: Any, function: Any, *arguments: Sequence[Any]) -> list[_Awaited]:
+        parts = range(0, len(arguments[0]), ARRAY)
+        started = [start(executor, function, *(a[k : k + ARRAY] for a in arguments)) for k in parts]
+        return [_Awaited(job, end) for jobs in started for job in jobs]
 
     AutoExecutor.map_array = map_array  # pyright: ignore[reportAttributeAccessIssue]
 

@@ -11,7 +11,6 @@ import gc
 import shutil
 import sys
 import threading
-import time
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
@@ -27,7 +26,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.checks import first_line
 from trl_explore.config.files import ConfigError
-from trl_explore.config.hydra_plugins import await_all, plan
+from trl_explore.config.hydra_plugins import await_all, note_folders, plan
 from trl_explore.config.job_names import register_resolvers
 from trl_explore.config.nodes import to_yaml
 from trl_explore.jobs import sweep_files
@@ -69,8 +68,10 @@ class Sweep(Callback):
     def __init__(self) -> None:
         self.folders: list[Path] = []
         """The folder of each job, in order of job numbers; empty if the jobs cannot be composed."""
-        self.others: set[int] = set()
-        """The numbers of jobs whose folder belongs to an earlier job of another configuration."""
+        self.jobs = 0
+        """The number of jobs."""
+        self.repeated: set[int] = set()
+        """The numbers of jobs that equal an earlier job, as in ``1,1.0``."""
         self.place: Path | None = None
         """The folder of the sweep, where Hydra writes ``multirun.yaml``."""
         self.missing = ""
@@ -87,16 +88,18 @@ class Sweep(Callback):
                     # It chooses jobs by the results of earlier ones, and writes into this folder.
                     self.place.mkdir(parents=True, exist_ok=True)
                     sweep_files.begin_sweep(self.place, [])
+                    note_folders(config.hydra.launcher._target_, Process.launched.append)
                     return
-                folders, self.others = plan(config)
+                folders, self.repeated = plan(config)
                 for sweep, names in _by_sweep(folders).items():
                     sweep.mkdir(parents=True, exist_ok=True)
                     sweep_files.begin_sweep(sweep, names)
-                self.folders = folders
+                self.folders, self.jobs = folders, len(folders)
             await_all(config.hydra.launcher._target_, Process.reasons.append)
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **arguments: Any) -> None:
-        """Drop the configuration, which Hydra would keep until the sweep ends, and the garbage."""
+        """Note the folder; drop the garbage and the configuration, which Hydra would keep."""
+        job_return.working_dir = str(Path(config.hydra.runtime.output_dir).absolute())
         job_return.cfg = job_return.hydra_cfg = None
         if not Process.frozen:
             Process.frozen = True
@@ -106,10 +109,12 @@ class Sweep(Callback):
     def on_job_start(self, config: DictConfig, **arguments: Any) -> None:
         """Record whether the job that starts in this process is a duplicate."""
         number = OmegaConf.select(config, "hydra.job.num", throw_on_missing=False)
-        planned = isinstance(number, int) and number < len(self.folders)
-        Process.place = (number, len(self.folders)) if planned else (0, 1)
-        planned = planned and number not in self.others
-        Process.repeated = planned and self.folders.index(self.folders[number]) < number
+        planned = isinstance(number, int) and number < self.jobs
+        Process.place = (number, self.jobs) if planned else (0, 1)
+        Process.repeated = number in self.repeated
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "folders": []}  # a process of a launcher runs one of many jobs
 
 
 class Process:
@@ -118,7 +123,7 @@ class Process:
     leads = False
     """Whether it started the sweep; if not, a launcher started this process to run jobs."""
     repeated = False
-    """Whether its job is a duplicate in its sweep, as in ``1,1.0``."""
+    """Whether its job equals an earlier one of its sweep."""
     place: tuple[int, int] = (0, 1)
     """The number of its job, from 0, and the number of jobs of the sweep."""
     frozen = False
@@ -126,6 +131,8 @@ class Process:
     ended: list[Ended]
     reasons: list[str]
     """How the cluster ended each job, in the order of the jobs; see ``await_all``."""
+    launched: list[Path]
+    """The folders of the jobs that a launcher returned, if they were not planned."""
 
 
 def _by_sweep(folders: list[Path]) -> dict[Path, list[str]]:
@@ -186,8 +193,7 @@ def collect(start: Callable[[], object]) -> list[Ended]:
         Exception: the exception of Hydra, if the jobs cannot be composed.
     """
     Process.leads, Process.repeated, Process.sweep = True, False, None
-    Process.ended, Process.reasons, Process.place = [], [], (0, 1)
-    begun = time.time()
+    Process.ended, Process.reasons, Process.launched, Process.place = [], [], [], (0, 1)
     reason, before, threading.excepthook = CUT, threading.excepthook, _in_thread
     try:
         start()
@@ -207,23 +213,12 @@ def collect(start: Callable[[], object]) -> list[Ended]:
     if sweep is None:
         return Process.ended
     here = {job.folder.absolute(): job for job in Process.ended}
-    folders = dict.fromkeys(sweep.folders or [*here, *_since(sweep.place, begun)])
+    folders = dict.fromkeys(sweep.folders or [*here, *Process.launched])
     if not folders:
         raise ConfigError("no job was run")
     reasons = zip(sweep.folders, Process.reasons, strict=False)
     lost = {folder: f"{why}; run the same command to resume" for folder, why in reasons if why}
     return [here.get(folder) or _from_files(folder, lost.get(folder, reason)) for folder in folders]
-
-
-def _since(sweep: Path | None, begun: float) -> list[Path]:
-    """The jobs of a sweep that ended in any process since a time, if they were not planned."""
-    if sweep is None:
-        return []
-    failed = [sweep / name for name in sweep_files.read_failures(sweep)]
-    done = [
-        run.parent for run in sweep.glob(f"*/{sweep_files.RUN}") if run.stat().st_mtime >= begun
-    ]
-    return [*done, *failed]
 
 
 def _in_thread(error: threading.ExceptHookArgs) -> None:

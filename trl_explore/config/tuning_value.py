@@ -18,6 +18,11 @@ LONGEST, LOWEST = 1e9, -1e6
 """The objectives of a job without a result, if neither a cap nor a range of scores is known."""
 
 
+def is_wanted() -> bool:
+    """Whether the sweeper of the running job optimises a number."""
+    return "direction" in (HydraConfig.get().sweeper or ())
+
+
 def returned(config: DictConfig, folder: Path | None) -> float | list[float] | None:
     """The objective of the running job, or None if its sweeper does not optimise.
 
@@ -25,9 +30,9 @@ def returned(config: DictConfig, folder: Path | None) -> float | list[float] | N
         config: the configuration of the job.
         folder: of the finished job; None: it failed, so its objective is the worst.
     """
-    sweeper: Any = HydraConfig.get().sweeper
-    if "direction" not in (sweeper or ()):
+    if not is_wanted():
         return None
+    sweeper: Any = HydraConfig.get().sweeper
     several = not isinstance(sweeper.direction, str) and isinstance(sweeper.direction, Sequence)
     outcomes = None if folder is None else read_job(folder)
     values = [

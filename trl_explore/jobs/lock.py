@@ -48,14 +48,15 @@ class Lock:
 
     Args:
         folder: the folder; created if it does not exist.
+        wait: whether to wait until the other process has released the lock.
 
     Raises:
         LockedError: if another process holds the lock.
         OSError: if the folder cannot be written to.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.path = folder, folder / NAME
+    def __init__(self, folder: Path, *, wait: bool = False) -> None:
+        self.folder, self.path, self.wait = folder, folder / NAME, wait
         self._file = -1
 
     def __enter__(self) -> Lock:
@@ -69,12 +70,14 @@ class Lock:
             except FileNotFoundError:  # another process has just removed the empty folder
                 if time.monotonic() > deadline:
                     raise
-            except BlockingIOError:
-                if time.monotonic() > deadline:
+            except (BlockingIOError, LockedError) as error:
+                if time.monotonic() > deadline and not self.wait:
+                    if isinstance(error, LockedError):
+                        raise
                     raise LockedError(
                         f"{self.folder} is in use: another process runs this job"
                     ) from None
-                time.sleep(PATIENCE / 10)
+                time.sleep(PATIENCE if self.wait else PATIENCE / 10)
         return self
 
     def _locked(self) -> int:
