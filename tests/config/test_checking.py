@@ -132,6 +132,14 @@ WRONG = [
         ("env.transforms=[{_target_: torchrl.envs.VecNormV2, in_keys: [observation]}]",),
         "env: the transform VecNormV2 mixes trials",
     ),
+    (
+        (
+            "env=frozenlake",
+            "policy=tabular",
+            "env.transforms=[{_target_: torchrl.envs.SignTransform, in_keys: [reward]}]",
+        ),
+        "policy: TabularPolicy needs Discrete observations and no transforms, got Discrete(16)",
+    ),
     (("+env.attributes.masscart=5",), "env: ... computed total_mass from masscart"),
     (("env=torchrl", "env.target=no.Env", *TORCHRL[1:]), "env: there is no class 'no.Env'"),
     (

@@ -94,8 +94,10 @@ class TabularPolicy(LinearPolicy):
         self, env: EnvBase, *, init: str = "zeros", seed: int = 0, first_trial: int = 0
     ) -> None:
         if not is_one_hot(env):
-            space = " ".join(str(observation_space(env)).split())
-            raise ValueError(f"TabularPolicy needs Discrete observations, got {space}")
+            got = " ".join(str(observation_space(env)).split())
+            raise ValueError(
+                f"TabularPolicy needs Discrete observations and no transforms, got {got}"
+            )
         super().__init__(env, init=init, seed=seed, first_trial=first_trial)
 
 
