@@ -8,6 +8,7 @@ from torch.nn import Parameter
 from torch.optim import SGD
 from torch.optim.lr_scheduler import CosineAnnealingLR
 
+from trl_explore.strategies import EpsilonGreedy
 from trl_explore.strategies.schedules import (
     Constant,
     Cosine,
@@ -232,3 +233,13 @@ def test_as_schedule_above_an_open_bound(value):
 def test_an_open_bound_may_not_be_the_first_value_of_any_trial(schedule):
     with pytest.raises(ValueError, match="scale"):
         as_schedule("scale", schedule, 0, 5, low_open=True)
+
+
+def test_a_strategy_that_keeps_pace_counts_for_itself():
+    one, other = (EpsilonGreedy(Linear(1.0, 0.0, frames=10)) for _ in range(2))
+    one.step(4)
+    other.keep_pace(one)
+    assert (other.epsilon.item(), other.iteration.item()) == (pytest.approx(0.6), 1)
+    other.step(3)
+    assert [s.frames.item() for s in (one, other)] == [4, 7]
+    assert one.epsilon.item() == pytest.approx(0.6)
