@@ -316,6 +316,9 @@ def test_a_slot_that_cannot_be_opened_is_like_a_damaged_one(tmp_path):
     path = newest(tmp_path)
     path.unlink()
     path.mkdir()
-    checkpoint, damaged = Store(tmp_path).load()
+    store = Store(tmp_path)
+    checkpoint, damaged = store.load()
     assert checkpoint is not None
     assert len(damaged) == 1
+    store.clear()
+    assert not store.folder.exists()

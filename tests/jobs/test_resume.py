@@ -19,7 +19,7 @@ from trl_explore.config import CONF
 from trl_explore.config.checking import options
 from trl_explore.jobs import resume
 from trl_explore.jobs.checkpoint import HISTORY, Store, pack
-from trl_explore.jobs.resume import Saver, restore
+from trl_explore.jobs.resume import Checkpoints, Saver, restore
 from trl_explore.jobs.signals import Interrupted, Interrupts
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.objectives.corrections import AsIf
@@ -330,3 +330,11 @@ def test_torch_weights_stay_float32(build, tmp_path):
     again = build(Softmax(), 1, **SMALL)
     restore(again, found)
     assert all(p.dtype is torch.float32 for p in again.optimizer.parameters)
+
+
+def test_a_folder_of_another_name_is_no_shard(tmp_path):
+    (tmp_path / "checkpoint" / "²").mkdir(parents=True)
+    checkpoints = Checkpoints(tmp_path)
+    assert checkpoints.header is None
+    checkpoints.clear()
+    assert not (tmp_path / "checkpoint").exists()

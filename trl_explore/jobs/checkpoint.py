@@ -19,6 +19,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -246,7 +247,8 @@ class Store:
     def clear(self) -> None:
         """Remove all checkpoints."""
         for name in SLOTS:  # first: a state without its history is not a checkpoint
-            (self.folder / name).unlink(missing_ok=True)
+            with suppress(OSError):  # no file, or a folder
+                (self.folder / name).unlink()
         if self.folder.exists():
             shutil.rmtree(self.folder)
         self._own = START

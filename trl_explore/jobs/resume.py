@@ -154,8 +154,8 @@ class Checkpoints:
     def __init__(self, job: Path, *, load: bool = True) -> None:
         self.folder, self.savers = job / FOLDER, list[Saver]()
         self._job, self._found = job, dict[int, tuple[Store, Checkpoint]]()
-        names = [path.name for path in self.folder.glob("*") if path.name.isdigit()] if load else []
-        for k in sorted(map(int, names)):
+        names = [path.name for path in self.folder.glob("*")] if load else []
+        for k in sorted(int(name) for name in names if name.isdecimal()):
             store = Store(job, k)
             checkpoint, damaged = store.load()
             if checkpoint is not None:
@@ -213,6 +213,6 @@ class Checkpoints:
     def clear(self) -> None:
         """Remove all checkpoints."""
         for folder in self.folder.glob("*"):
-            if folder.name.isdigit():
+            if folder.name.isdecimal():
                 Store(self._job, int(folder.name)).clear()
         shutil.rmtree(self.folder, ignore_errors=True)

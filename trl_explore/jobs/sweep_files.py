@@ -98,7 +98,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
 def _is_left(temporary: Path) -> bool:
     """Whether the process that wrote a temporary file of this module was killed."""
     pid = temporary.name.split(".")[1]
-    return pid.isdigit() and int(pid) != os.getpid() and not is_alive(int(pid))
+    return pid.isdecimal() and int(pid) != os.getpid() and not is_alive(int(pid))
 
 
 def _write(path: Path, content: object) -> None:
