@@ -213,11 +213,12 @@ def test_a_rollout_unpacks_like_a_tuple(build):
     assert rollout.count == len(frames) == length.sum()
 
 
-def test_hooks_of_the_weights_are_called(build):
+@pytest.mark.parametrize("hook", ["register_hook", "register_post_accumulate_grad_hook"])
+def test_hooks_of_the_weights_are_called(hook, build):
     trainer = build(Softmax(), collector=FusedCollector, max_iterations=3)
     (weight,) = trainer.optimizer.parameters
     seen = []
-    weight.register_hook(seen.append)
+    getattr(weight, hook)(seen.append)
     trainer.run()
     assert len(seen) == 3
 
