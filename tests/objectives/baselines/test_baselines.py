@@ -88,7 +88,7 @@ def test_leaving_one_out():
 
 def test_leaving_one_out_needs_two():
     with pytest.raises(ValueError, match=r"episodes_per_update.*2"):
-        LeaveOneOut()(episodes([1.0], [1.0], trial=[0, 1], trials=2))
+        LeaveOneOut()(episodes([1.0], [1.0], [1.0], trial=[0, 0, 1], trials=2))
 
 
 def test_the_critic_agrees_with_torchrls_loss():
