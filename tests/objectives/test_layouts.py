@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from tests.objectives.episodes import (
     KINDS,
@@ -13,6 +14,7 @@ from tests.objectives.episodes import (
 )
 from trl_explore.envs import make_env
 from trl_explore.objectives import ReinforceLoss
+from trl_explore.objectives.episodes import Episodes
 from trl_explore.policies import LinearPolicy
 from trl_explore.policies.actor import SoftmaxActor
 
@@ -193,3 +195,11 @@ def test_rows_of_a_batch_are_trials(env):
     out = loss(torch.stack([first, second]).exclude("trial"))["trial_loss"]
     expected = [-(2 + 2) * math.log(0.75), -8 * math.log(0.25) - 8 * math.log(0.75)]
     torch.testing.assert_close(out, torch.tensor(expected))
+
+
+def test_an_episode_that_was_cut_off_ends_with_its_last_frame():
+    """Because another trial follows, or no frame at all."""
+    done, trial = torch.tensor([0, 1, 0, 0, 0]).bool(), torch.tensor([0, 0, 0, 1, 1])
+    episodes = Episodes(TensorDict({}, [5]), torch.ones(5), done, trial, 2, 1.0)
+    assert episodes.ends.tolist() == [False, True, True, False, True]
+    assert episodes.starts.tolist() == [True, False, True, True, False]
