@@ -168,4 +168,4 @@ def test_wrong_clips(clip):
 
 def test_an_action_that_cannot_have_been_taken():
     with pytest.raises(ValueError, match=r"probability 0.*behaviour policy"):
-        log_ratio_of(torch.zeros(1), torch.tensor([-torch.inf]))
+        log_ratio_of(torch.zeros(2), torch.tensor([0.0, -torch.inf]))
