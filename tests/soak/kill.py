@@ -82,6 +82,8 @@ class Ended(NamedTuple):
 def start(arguments: list[str], folder: Path) -> int:
     """``python scripts/train.py *arguments`` in a process of its own; returns its id."""
     sys.stdout.flush()
+    for name in ("stdout", "stderr"):  # a signal may end the process before it opens them
+        (folder / name).write_bytes(b"")
     process = os.fork()
     if process:
         return process
