@@ -30,6 +30,7 @@ from trl_explore.config.hydra_plugins import await_all, note_folders, plan
 from trl_explore.config.job_names import register_resolvers
 from trl_explore.config.nodes import to_yaml
 from trl_explore.jobs import sweep_files
+from trl_explore.jobs.files import named
 from trl_explore.jobs.lock import is_locked
 
 register_resolvers()  # a worker composes the configuration before it runs this program's code
@@ -175,7 +176,11 @@ def end_job(folder: Path, error: str = "", *, record: bool = True) -> None:
         with suppress(OSError):  # even if the lock has already removed the job's folder
             folder.parent.rmdir()
         if record and is_multirun():
-            sweep_files.record_failure(folder, error)
+            try:
+                sweep_files.record_failure(folder, error)
+            except OSError:  # a full disk: the process that leads the sweep cannot read the reason
+                if not Process.leads:
+                    print(f"error: {folder.name}: {error}", file=sys.stderr)
     else:
         sweep_files.forget_failure(folder)
     ended = Ended(folder, error)
@@ -267,4 +272,8 @@ def save_hydra(folder: Path, config: DictConfig) -> None:
     }
     (folder / ".hydra").mkdir(exist_ok=True)
     for name, text in files.items():
-        (folder / ".hydra" / name).write_text(text, encoding="utf-8")
+        path = folder / ".hydra" / name
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise named(error, path) from None
