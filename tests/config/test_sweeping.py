@@ -116,14 +116,38 @@ def test_jobs_that_were_not_planned_are_those_that_the_launcher_returns(tmp_path
             for name, returned in zip(names, ended, strict=True):
                 folder = {"hydra": {"runtime": {"output_dir": str(tmp_path / name)}}}
                 sweeping.Sweep().on_job_end(OmegaConf.create(folder), job_return=returned)
-            return [*ended, JobReturn()]  # of the last one, nothing is known
+            return [*ended, hydra_plugins._ended()]  # the cluster has ended the last one
 
     monkeypatch.setattr(hydra_plugins, "get_class", lambda name: Launcher)
     for _ in range(2):  # noted once, however many sweeps the process has run
         noted = []
-        hydra_plugins.note_folders("a launcher", noted.append)
-        assert len(Launcher().launch("ab")) == 3
+        hydra_plugins.note_folders("a launcher", noted.append, 500.0)
+        assert Launcher().launch("ab")[2].return_value == 500.0
         assert noted == [tmp_path / "a", tmp_path / "b"]
+
+
+def test_a_search_whose_processes_are_killed(tmp_path):
+    """A job that the cluster has ended is counted; if the launcher fails, one line says so."""
+    sweep = sweeping.Sweep()
+    sweep.searches, sweep.place = True, tmp_path / "sweep"
+    (tmp_path / "sweep" / "a").mkdir(parents=True)
+    (tmp_path / "sweep" / "a" / "run.json").touch()
+
+    def start():
+        sweeping.Process.sweep = sweep
+        sweeping.Process.launched.append(tmp_path / "sweep" / "a")
+        sweeping.Process.reasons.extend(["", "Ray ended the job (NodeDiedError)"])
+
+    def fail():
+        start()
+        raise RuntimeError("a worker was killed")
+
+    ended = sweeping.collect(start)
+    assert [(job.folder.name, job.error) for job in ended] == [
+        ("a", ""), ("sweep", "Ray ended the job (NodeDiedError)"),
+    ]  # fmt: skip
+    with pytest.raises(configuration.ConfigError, match=r"launcher failed.*a worker was killed"):
+        sweeping.collect(fail)
 
 
 def test_a_reason_that_a_worker_cannot_record_is_printed(tmp_path, monkeypatch, capsys):
