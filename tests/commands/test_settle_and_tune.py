@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import subprocess
 import sys
 
 import pytest
+
+from trl_explore.commands.settle import _Jobs
+from trl_explore.config import ConfigError
 
 PROGRAM = """
 import os
@@ -103,3 +107,21 @@ def test_errors_are_one_line(ran):
     ]  # fmt: skip
     assert len(errors) == len(expected)
     assert all(text in error for text, error in zip(expected, errors, strict=True))
+
+
+def test_a_plan_is_whole_or_absent_and_a_damaged_one_is_told(tmp_path, monkeypatch):
+    jobs = _Jobs.__new__(_Jobs)
+    jobs.sweep = tmp_path
+    for text in ("", "[]", '{"looks"'):
+        (tmp_path / "settle.json").write_text(text)
+        with pytest.raises(ConfigError, match=r"settle\.json plans looks=None"):
+            jobs.record({"looks": [20]})
+    (tmp_path / "settle.json").unlink()
+
+    def killed(file):
+        raise OSError("killed")
+
+    monkeypatch.setattr(os, "fsync", killed)
+    with pytest.raises(OSError, match="killed"):
+        jobs.record({"looks": [20]})
+    assert list(tmp_path.iterdir()) == []

@@ -223,6 +223,14 @@ def test_strategies_know_every_argument_by_their_yaml():
             composed(f"strategy={path.stem}", "strategy.nonsense=1")
 
 
+@pytest.mark.parametrize(("workers", "processes"), [("null", 2), ("1", 1), ("3", 3)])
+def test_workers_are_processes_and_null_is_one_per_processor(workers, processes, monkeypatch):
+    monkeypatch.setattr("trl_explore.envs.processes.processors", lambda: 2)
+    overrides = ("collector=stepping", "evaluate_every=0", f"env.workers={workers}")
+    with closing(build_trainer(composed(*overrides)[0])) as trainer:
+        assert trainer.collector.lanes.workers == processes
+
+
 @pytest.mark.parametrize("collector", ["fused", "torchrl"])
 def test_evaluations_share_the_environment_of_the_training_and_play_their_own_stream(collector):
     """The same episodes as with an environment of the evaluations' own."""

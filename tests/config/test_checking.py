@@ -141,18 +141,34 @@ WRONG = [
     (("env.id=3",), "env.id must be the name of an environment, e.g. env.id=Acrobot-v1, got 3"),
     (("env.id=null",), "env.id must be the name ... got None"),
     (("env=gym", "env.id="), "env.id must be the name ... got ''"),
-    (("env.kwargs=3",), "env: "),
+    (("env.kwargs=3",), "env.kwargs must map names to values ... got 3"),
+    (("env.attributes=1",), "env.attributes must map names to values ... got 1"),
+    (("env.workers=0",), "env: workers ... >= 1 ... 0"),
+    (("env.workers=true",), "env: workers ... True"),
+    (("optimizer=torch", "optimizer.options=3"), "optimizer: options must map names ... got 3"),
+    (("optimizer=torch", "optimizer.name=[SGD]"), "optimizer: name must be one of ... ['SGD']"),
+    (
+        ("optimizer=torch", "+optimizer.options.momentum=x"),
+        "optimizer: SGD rejects its options {'momentum': 'x'}: ",
+    ),
+    (
+        ("optimizer=torch", "optimizer.name=Adam", "+optimizer.options.betas=[0.9]"),
+        "optimizer: Adam rejects its options {'betas': [0.9]}: ",
+    ),
+    (("collector._target_=null",), "collector: ... got 'None'"),
+    (("loss._target_=nothing.at.all",), "loss: Error loading 'nothing.at.all'"),
     (("+env.kwargs.nonsense=1",), "nonsense"),
     (("env=gym", "env.id=FrozenLake-v1", "+env.kwargs.map_name=no"), "'no'"),
 ]
 
 
 @pytest.mark.parametrize(("overrides", "message"), WRONG, ids=[" ".join(w[0]) for w in WRONG])
-def test_wrong_values_are_one_line(overrides, message):
+def test_wrong_values_are_one_line(overrides, message, caplog):
     with pytest.raises(ConfigError) as error:
         build_trainer(composed(*overrides)[0])
     assert re.search(".*".join(map(re.escape, message.split(" ... "))), str(error.value))
     assert "\n" not in str(error.value)
+    assert not [record for record in caplog.records if record.levelname == "ERROR"]
 
 
 @pytest.mark.parametrize(

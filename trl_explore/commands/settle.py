@@ -17,7 +17,8 @@ from omegaconf import OmegaConf
 
 from trl_explore.commands import train
 from trl_explore.config import ConfigError
-from trl_explore.jobs.sweep_files import LOOKS, VERDICTS
+from trl_explore.jobs.files import write_whole
+from trl_explore.jobs.sweep_files import LOOKS, VERDICTS, read_json
 from trl_explore.statistics import samples
 from trl_explore.statistics.estimates import LEVEL, check_level
 from trl_explore.statistics.outcomes import Outcomes, judged
@@ -113,8 +114,7 @@ class _Jobs:
             ConfigError: the looks were planned differently; the error would not be held.
         """
         file = self.sweep / LOOKS
-        if file.is_file():
-            old = json.loads(file.read_text(encoding="utf-8"))
+        if (old := read_json(file)) is not None:
             if changed := [key for key in plan if old.get(key) != plan[key]]:
                 raise ConfigError(
                     f"{file} plans {changed[0]}={old.get(changed[0])}, not {plan[changed[0]]}: a"
@@ -122,7 +122,7 @@ class _Jobs:
                     " output_dir"
                 )
         else:
-            file.write_text(json.dumps(plan) + "\n", encoding="utf-8")
+            write_whole(file, f"{json.dumps(plan)}\n".encode())
 
     def more(self, names: Sequence[str], n: int) -> dict[str, Sample]:
         """The samples of configurations, after running what they lack of n trials."""

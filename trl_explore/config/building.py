@@ -8,13 +8,13 @@ from functools import partial
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any, cast
 
-from hydra.utils import get_object, instantiate
+from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from trl_explore.checks import check_number
 from trl_explore.config.checking import check_actions, check_values
 from trl_explore.config.constructors import calling, constructor_of
-from trl_explore.config.files import ConfigError, load
+from trl_explore.config.files import ConfigError, load, same
 from trl_explore.config.importing import import_torchrl
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-SHARED = ("kwargs", "attributes", "wrappers", "transforms", "workers")
-"""The keys of ``env`` that ``train.yaml`` gives every environment."""
+SHARED = ("kwargs", "attributes", "wrappers", "transforms")
+"""The keys of ``env`` that ``train.yaml`` gives every environment, empty by default."""
 PARTS = {
     "wrappers": "gymnasium.wrappers.TimeAwareObservation",
     "transforms": "torchrl.envs.SignTransform",
@@ -117,7 +117,7 @@ def _build_trainer(
     """Build the trainer of some of the trials; only one of a job's announces the collector."""
     from tensordict.nn import TensorDictSequential
 
-    from trl_explore.collectors import FusedCollector, auto_collector
+    from trl_explore.collectors import FusedCollector
     from trl_explore.envs import lane_env
     from trl_explore.envs.checking import remarks
     from trl_explore.policies.actor import actor_of
@@ -160,7 +160,7 @@ def _build_trainer(
     loss = constructor_of(config, "loss")(
         actor, correction=correction, baseline=baseline, strategy=strategy, trials=size
     )
-    auto = get_object(config.collector["_target_"]) is auto_collector
+    auto = config.collector.get("_target_") == load("collector/auto")["_target_"]
     quiet = {"announce": False} if auto and not announce else {}
     both = TensorDictSequential(policy, strategy)
     collector = constructor_of(config, "collector")(env, both, **quiet)
@@ -195,8 +195,14 @@ def _environment(config: DictConfig) -> Callable[..., Any]:
     env = config.env
     for key in PARTS:
         _check_parts(key, env.get(key))
-    # An empty value is the constructor's default; the user's own constructor may not know the key.
-    without = [*STOPPING, "target", *(key for key in SHARED if not env.get(key) or env[key] == 1)]
+    for key in ("kwargs", "attributes"):
+        if not isinstance(env.get(key), DictConfig | None):
+            form = f"env.{key}={{name: value}}"
+            raise ConfigError(f"env.{key} must map names to values, {form}, got {env[key]!r}")
+    # Without the constructor's defaults: the user's own one may not know the key.
+    without = [*STOPPING, "target", *(key for key in SHARED if not env.get(key))]
+    if same(env.get("workers"), 1):
+        without.append("workers")
     plain = cast(dict[str, Any], OmegaConf.to_container(env, resolve=True))
     for wrapper in plain.get("wrappers") or []:
         wrapper["_partial_"] = True

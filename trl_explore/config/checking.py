@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
+from hydra._internal.utils import _locate
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, MissingConfigException
-from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
@@ -181,7 +181,7 @@ def options(group: str, kind: str) -> list[str]:
 def _constructor(node: Any) -> Any:
     """The class that a configuration names; None if it does not exist."""
     try:
-        return get_object(str(node.get("_target_")))
+        return _locate(str(node.get("_target_")))
     except Exception:  # any error of the import; building it reports the error
         return None
 

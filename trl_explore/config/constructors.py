@@ -7,8 +7,9 @@ from copy import deepcopy
 from functools import partial
 from typing import Any, cast
 
+from hydra._internal.utils import _locate
 from hydra.errors import InstantiationException
-from hydra.utils import get_object, instantiate
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.config.checking import describe
@@ -36,7 +37,7 @@ def _constructor(node: dict[str, Any] | DictConfig) -> Callable[..., Any]:
     nested = "_target_" in str(list(plain.values()))
     if nested or not isinstance(plain.get("_target_"), str):
         return instantiate(node, _convert_="all", _partial_=True)
-    text, target = repr(plain), get_object(plain["_target_"])  # a notebook may define it again
+    text, target = repr(plain), _locate(plain["_target_"])  # a notebook may define it again
     if text not in _kept:
         if len(_kept) >= KEPT:
             _kept.clear()
@@ -53,7 +54,7 @@ def calling(group: str | None, call: Callable[[], Any]) -> Any:
         raise
     except MemoryError as error:
         line, cause = "not enough memory; reduce trials", error
-    except (InstantiationException, ValueError, TypeError, OverflowError) as error:
+    except (InstantiationException, ImportError, ValueError, TypeError, OverflowError) as error:
         within = error.__cause__ if isinstance(error, InstantiationException) else None
         line, cause = describe(within or error), error
     raise ConfigError(f"{group}: {line}" if group else line) from cause

@@ -6,6 +6,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Barrier
+from types import SimpleNamespace
 
 import numba as nb
 import pytest
@@ -42,18 +43,36 @@ def test_two_that_compile_at_once_do_not_mix_their_code(tmp_path, monkeypatch):
 
 @pytest.fixture
 def double(tmp_path, monkeypatch):
-    """A function that multiplies by 2, with its cache in ``tmp_path``; new in every call."""
+    """A function that multiplies by 2, with its cache in ``tmp_path``; new in every call.
+
+    Or by another factor that it closes over; ``modules`` are compiled into it.
+    """
     monkeypatch.setattr(nb.config, "CACHE_DIR", str(tmp_path))
 
-    def make():
-        @cache.compiled()
+    def make(factor=2, *modules):
+        @cache.compiled(*modules, key=factor)
         def double(x):
-            return 2 * x
+            return factor * x
 
         return double
 
     assert make()(3) == 6
     return make
+
+
+def test_functions_that_close_over_other_values_have_code_of_their_own(double):
+    assert [double(factor)(3) for factor in (2, 5, 5, 2)] == [6, 15, 15, 6]
+
+
+def test_a_function_is_compiled_again_after_a_change_of_another_module(tmp_path, double):
+    module = SimpleNamespace(__file__=tmp_path / "helper.py")
+    hits = []
+    for text in ("one", "one", "two", "one"):
+        module.__file__.write_text(text)
+        function = double(2, module)
+        function(3)
+        hits.append(bool(function.stats.cache_hits))
+    assert hits == [False, True, False, True]
 
 
 def changes(data):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, Protocol, cast
 
 import torch
@@ -215,10 +216,12 @@ def torch_optimizer(
         >>> weight.detach().tolist()
         [[-0.5], [0.0]]
     """
-    if name in COUPLING:
+    if isinstance(name, str) and name in COUPLING:
         raise ValueError(f"{name} cannot train independent trials: {COUPLING[name]}")
     if name not in ELEMENTWISE:
         raise ValueError(f"name must be one of {', '.join(ELEMENTWISE)}, got {name!r}")
+    if not isinstance(options, Mapping | None):
+        raise ValueError(f"options must map names to values, {{momentum: 0.9}}, got {options!r}")
     kind = getattr(torch.optim, name)
     arguments = [*inspect.signature(kind).parameters]
     allowed = [argument for argument in arguments if argument not in HELD]
@@ -227,6 +230,8 @@ def torch_optimizer(
             raise ValueError(f"{name} has only the options {', '.join(allowed)}, got {option!r}")
     check_number("lr", lr, 0, low_open=True)
     held = {argument: False for argument in ("foreach", "fused") if argument in arguments}
-    return LaneOptimizer(
-        lambda given: kind(grouped(given, lr), lr=lr, **held, **(options or {})), parameters
-    )
+    factory = partial(kind, lr=lr, **held, **(options or {}))
+    try:
+        return LaneOptimizer(lambda given: factory(grouped(given, lr)), parameters)
+    except (TypeError, IndexError) as error:  # torch compares and unpacks them unchecked
+        raise ValueError(f"{name} rejects its options {dict(options or {})}: {error}") from None
