@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from hydra import compose
+from omegaconf.errors import InterpolationResolutionError
 
 from tests.config.composed import name
 from trl_explore.config import (
@@ -134,6 +135,21 @@ def test_the_name_depends_on_the_experiment_through_its_folder_only():
     assert config.hydra.sweep.subdir == "argmax"
     plain = compose("train", overrides=["strategy=argmax"], return_hydra_config=True)
     assert plain.hydra.run.dir == str(Path("outputs/train/argmax").absolute())
+
+
+@pytest.mark.parametrize(
+    ("word", "got"),
+    [("null", "an empty value"), ("' '", "an empty value"), ("[a]", r"\['a'\]"), ("{a:1}", "{'a'")],
+)
+def test_output_dir_is_one_folder(word, got):
+    config = compose("train", overrides=[f"output_dir={word}"], return_hydra_config=True)
+    with pytest.raises(InterpolationResolutionError, match=f"name of a folder, got {got}"):
+        config.hydra.sweep.dir  # noqa: B018
+
+
+def test_output_dir_may_be_a_number():
+    config = compose("train", overrides=["output_dir=0"], return_hydra_config=True)
+    assert config.hydra.sweep.dir == str(Path("0/train").absolute())
 
 
 def test_names_are_names_of_one_folder():

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import pickle
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -113,14 +116,62 @@ def test_jobs_that_were_not_planned_are_those_that_the_launcher_returns(tmp_path
             for name, returned in zip(names, ended, strict=True):
                 folder = {"hydra": {"runtime": {"output_dir": str(tmp_path / name)}}}
                 sweeping.Sweep().on_job_end(OmegaConf.create(folder), job_return=returned)
-            return [*ended, JobReturn()]  # of the last one, nothing is known
+            return [*ended, hydra_plugins._ended()]  # the cluster has ended the last one
 
     monkeypatch.setattr(hydra_plugins, "get_class", lambda name: Launcher)
     for _ in range(2):  # noted once, however many sweeps the process has run
         noted = []
-        hydra_plugins.note_folders("a launcher", noted.append)
-        assert len(Launcher().launch("ab")) == 3
+        hydra_plugins.note_folders("a launcher", noted.append, 500.0)
+        assert Launcher().launch("ab")[2].return_value == 500.0
         assert noted == [tmp_path / "a", tmp_path / "b"]
+
+
+def test_a_search_whose_processes_are_killed(tmp_path):
+    """A job that the cluster has ended is counted; if the launcher fails, one line says so."""
+    sweep = sweeping.Sweep()
+    sweep.searches, sweep.place = True, tmp_path / "sweep"
+    (tmp_path / "sweep" / "a").mkdir(parents=True)
+    (tmp_path / "sweep" / "a" / "run.json").touch()
+
+    def start():
+        sweeping.Process.sweep = sweep
+        sweeping.Process.launched.append(tmp_path / "sweep" / "a")
+        sweeping.Process.reasons.extend(["", "Ray ended the job (NodeDiedError)"])
+
+    def fail():
+        start()
+        raise RuntimeError("a worker was killed")
+
+    ended = sweeping.collect(start)
+    assert [(job.folder.name, job.error) for job in ended] == [
+        ("a", ""), ("sweep", "Ray ended the job (NodeDiedError)"),
+    ]  # fmt: skip
+    with pytest.raises(configuration.ConfigError, match=r"launcher failed.*a worker was killed"):
+        sweeping.collect(fail)
+
+
+def test_a_reason_that_a_worker_cannot_record_is_printed(tmp_path, monkeypatch, capsys):
+    def full(path, data, tag=""):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr(sweep_files, "write_whole", full)
+    monkeypatch.setattr(sweeping, "is_multirun", lambda: True)
+    monkeypatch.setattr(sweeping.Process, "leads", False)
+    (tmp_path / "sweep" / "other").mkdir(parents=True)
+    sweeping.end_job(tmp_path / "sweep" / "job", "cannot write a file")
+    assert capsys.readouterr().err == "error: job: cannot write a file\n"
+    sweep_files.forget_failure(tmp_path / "sweep" / "job")
+    assert [path.name for path in (tmp_path / "sweep").iterdir()] == ["other"]
+
+
+def test_a_full_disk_is_told_with_the_name_of_the_file(tmp_path, monkeypatch, master):
+    def full(path, *arguments, **options):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(sweeping.HydraConfig, "instance", lambda: SimpleNamespace(cfg=master))
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OSError, match=r"No space left on device: '.*config\.yaml'"):
+        sweeping.save_hydra(tmp_path, OmegaConf.create({}))
 
 
 def test_what_a_launcher_sends_with_each_job_does_not_grow_with_the_sweep():

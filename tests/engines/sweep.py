@@ -15,7 +15,7 @@ from typing import NoReturn
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-sys.path.insert(0, str(ROOT / "tests" / "commands"))
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "commands")]  # not an installed older version
 from test_launchers import payload  # noqa: E402
 
 PATIENCE = 900

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
+import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -218,6 +221,21 @@ def test_leftovers_of_a_killed_job_do_not_get_into_the_curves(job):
     results.clear(job)
     write(job)
     assert results.read_curves(job)["score"].tolist() == record().curves()["score"].tolist()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has it")
+def test_a_full_disk_ends_the_scalars_without_a_traceback(job, monkeypatch):
+    full = partial(open, "/dev/full", "w", encoding="utf-8")
+    monkeypatch.setattr("torchrl.record.loggers.csv.open", lambda *_: full(), raising=False)
+    results.clear(job)
+    with pytest.raises(OSError, match=r"No space left on device: '.*scalars'") as caught:
+        writing._write_scalars(job, record())
+    lost: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", lost.append)
+    del caught
+    gc.collect()
+    assert lost == []
+    assert names(job) == []
 
 
 def test_the_columns_are_those_of_the_documentation():

@@ -24,6 +24,8 @@ from trl_explore.strategies import (
     Strategy,
     inverse_cdf,
 )
+from trl_explore.strategies.parameters import advance
+from trl_explore.strategies.schedules import Linear
 
 ALMOST_ONE = float(np.nextafter(1.0, 0.0))
 MU = torch.tensor([0.25, 0.0, 0.5, 0.25])
@@ -206,6 +208,17 @@ def test_given_noise_leaves_the_generator_alone():
     before = torch.get_rng_state()
     Fixed(noise_key="noise")(frames(5, noise=torch.zeros(5)))
     assert torch.equal(torch.get_rng_state(), before)
+
+
+@pytest.mark.parametrize("dtype", [None, torch.bfloat16])
+def test_advance_is_a_step_of_that_many_frames(dtype):
+    strategy, other = (EpsilonGreedy(Linear(1.0, 0.0, iterations=4)) for _ in range(2))
+    if dtype is not None:
+        strategy.type(dtype)
+    advance(strategy, 7)
+    other.step(frames(7))
+    assert (int(strategy.iteration), int(strategy.frames)) == (1, 7)
+    assert strategy.epsilon.item() == other.epsilon.item() == 0.75
 
 
 def test_iteration_counts_from_zero():

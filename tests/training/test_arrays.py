@@ -10,13 +10,14 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from trl_explore.collectors import FusedCollector
+from trl_explore.collectors import FusedCollector, TorchRLCollector
 from trl_explore.config import CONF
 from trl_explore.config.checking import options
 from trl_explore.objectives import ReinforceLoss
 from trl_explore.objectives.baselines import EpisodeMean
 from trl_explore.objectives.corrections import PerStep
-from trl_explore.strategies import EpsilonGreedy, Softmax
+from trl_explore.strategies import BaseStrategy, EpsilonGreedy, Softmax
+from trl_explore.strategies.schedules import Linear
 
 IDS = {"CartPole-v1": 500, "Acrobot-v1": 40, "FrozenLake-v1": 40}
 
@@ -223,16 +224,60 @@ def test_hooks_of_the_weights_are_called(hook, build):
     assert len(seen) == 3
 
 
-def test_a_strategy_that_needs_no_data_gets_their_number(train):
+def test_a_strategy_that_declares_to_need_no_data_gets_their_number(train):
     class Curious(EpsilonGreedy):
+        learns_from_data = False
         sizes: list[int] = []  # noqa: RUF012
 
-        def advance(self, frames):
-            self.sizes.append(frames)
-            super().advance(frames)
+        def step(self, frames=None):
+            assert frames.is_empty()
+            self.sizes.append(len(frames))
+            super().step(frames)
 
     trainer = train(Curious(), collector=FusedCollector)
     assert len(Curious.sizes) == trainer.trials.iteration
     assert (
         sum(Curious.sizes) == trainer.trials.frames.sum() == int(trainer.collector.strategy.frames)
     )
+
+
+def test_a_step_in_place_of_every_strategys_is_called(build, monkeypatch):
+    trainer = build(Softmax(), collector=FusedCollector, max_iterations=3)
+    steps = []
+    monkeypatch.setattr(BaseStrategy, "step", lambda self, frames=None: steps.append(len(frames)))
+    trainer.run()
+    assert steps == [frames for frames in steps if frames > 0]
+    assert sum(steps) == trainer.trials.frames.sum()
+
+
+def test_every_trial_counts_its_own_frames(train):
+    strategy = EpsilonGreedy(Linear(1.0, 0.0, frames=300))
+    trainer = train(strategy, trials=4, max_iterations=6, collector=FusedCollector)
+    frames = trainer.collector.strategy.frames.numpy()
+    assert frames.tolist() == trainer.trials.frames.tolist()
+    assert len(set(frames.tolist())) > 1
+
+
+def test_numbers_of_the_loss_may_change_during_the_training(build):
+    """As for a collector without arrays."""
+
+    def change(trials):
+        trainer.loss.gamma, trainer.loss.weight = 0.1, 0.5
+
+    found = []
+    for collector in (FusedCollector, TorchRLCollector):
+        trainer = build(Softmax(), collector=collector, max_iterations=5)
+        trainer.on_iteration = change
+        trainer.run()
+        found.append(trainer.optimizer.parameters[0].detach())
+    unchanged = build(Softmax(), collector=FusedCollector, max_iterations=5)
+    unchanged.run()
+    assert torch.equal(*found)
+    assert not torch.equal(found[0], unchanged.optimizer.parameters[0].detach())
+
+
+def test_weights_of_another_number_of_trials_are_not_read_as_arrays(build):
+    loss = build(Softmax(), trials=3, collector=FusedCollector).loss
+    assert loss.array_backward() is not None
+    loss.trials = 4
+    assert loss.array_backward() is None

@@ -322,3 +322,22 @@ def test_adam_follows_parameters_whose_memory_has_moved():
         weight.grad = torch.ones(2, 1)
         adam.step()
         assert weight.flatten().tolist() == pytest.approx([0.5, 0.5])
+
+
+def test_a_parameter_that_is_replaced_is_trained():
+    first, second = nn.Parameter(torch.zeros(2, 1)), nn.Parameter(torch.full((2, 1), 5.0))
+    adam = LaneAdam([first], lr=0.1)
+    adam.parameters[0] = second
+    move(adam, second, torch.ones(2, 1))
+    assert second.flatten().tolist() == pytest.approx([4.9, 4.9])
+    assert first.flatten().tolist() == [0.0, 0.0]
+
+
+def test_moments_have_their_names():
+    """After one step, m = (1 − β₁) g and v = (1 − β₂) g²."""
+    weight = nn.Parameter(torch.zeros(1, 1))
+    adam = LaneAdam([weight])
+    move(adam, weight, torch.full((1, 1), 3.0))
+    state = adam.state_dict()
+    assert state["exp_avg"]["0"].item() == pytest.approx(0.3)
+    assert state["exp_avg_sq"]["0"].item() == pytest.approx(0.009)

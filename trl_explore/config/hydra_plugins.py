@@ -137,8 +137,11 @@ def await_all(launcher: str, end: Callable[[str], None]) -> None:
         _await_ray(end)
 
 
-def note_folders(launcher: str, note: Callable[[Path], None]) -> None:
-    """Call ``note`` with the folder of every job that a launcher returns (see ``Sweep``)."""
+def note_folders(launcher: str, note: Callable[[Path], None], lost: Any) -> None:
+    """Call ``note`` with the folder of every job that a launcher returns (see ``Sweep``).
+
+    A job that the cluster has ended has no folder, and returns ``lost``.
+    """
     kind = get_class(launcher)
     launch = getattr(kind.launch, "__wrapped__", kind.launch)
 
@@ -148,6 +151,8 @@ def note_folders(launcher: str, note: Callable[[Path], None]) -> None:
         for job in returned:
             if job.working_dir is not None:
                 note(Path(job.working_dir))
+            else:
+                job.return_value = lost
         return returned
 
     kind.launch = launch_and_note

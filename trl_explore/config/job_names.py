@@ -43,9 +43,11 @@ def _choices(root: DictConfig) -> Mapping[str, str | None]:
 
 
 def _sweep_folder(*, _root_: DictConfig) -> str:
-    output = str(_root_.output_dir or "").strip()
+    given = _root_.output_dir
+    output = str(given).strip() if isinstance(given, str | int | float) else ""
     if not output:
-        raise ConfigError("output_dir must be the name of a folder, got an empty value")
+        got = given if OmegaConf.is_config(given) else "an empty value"
+        raise ConfigError(f"output_dir must be the name of a folder, got {got}")
     try:
         expanded = Path(output).expanduser() if output.startswith("~") else Path(output)
     except RuntimeError:

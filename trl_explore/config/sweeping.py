@@ -25,11 +25,13 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from trl_explore.checks import first_line
+from trl_explore.config import tuning_value
 from trl_explore.config.files import ConfigError
 from trl_explore.config.hydra_plugins import await_all, note_folders, plan
 from trl_explore.config.job_names import register_resolvers
 from trl_explore.config.nodes import to_yaml
 from trl_explore.jobs import sweep_files
+from trl_explore.jobs.files import named
 from trl_explore.jobs.lock import is_locked
 
 register_resolvers()  # a worker composes the configuration before it runs this program's code
@@ -74,6 +76,8 @@ class Sweep(Callback):
         """The numbers of jobs that equal an earlier job, as in ``1,1.0``."""
         self.place: Path | None = None
         """The folder of the sweep, where Hydra writes ``multirun.yaml``."""
+        self.searches = False
+        """Whether the sweeper chooses jobs by the results of earlier ones."""
         self.missing = ""
         """One line that names the launcher that is not installed; empty if it is installed."""
 
@@ -88,14 +92,20 @@ class Sweep(Callback):
                     # It chooses jobs by the results of earlier ones, and writes into this folder.
                     self.place.mkdir(parents=True, exist_ok=True)
                     sweep_files.begin_sweep(self.place, [])
-                    note_folders(config.hydra.launcher._target_, Process.launched.append)
-                    return
-                folders, self.repeated = plan(config)
-                for sweep, names in _by_sweep(folders).items():
-                    sweep.mkdir(parents=True, exist_ok=True)
-                    sweep_files.begin_sweep(sweep, names)
-                self.folders, self.jobs = folders, len(folders)
+                    HydraConfig.instance().set_config(config)
+                    lost = tuning_value.returned(config, None)
+                    note_folders(config.hydra.launcher._target_, Process.launched.append, lost)
+                    self.searches = True
+                else:
+                    self._plan(config)
             await_all(config.hydra.launcher._target_, Process.reasons.append)
+
+    def _plan(self, config: DictConfig) -> None:
+        folders, self.repeated = plan(config)
+        for sweep, names in _by_sweep(folders).items():
+            sweep.mkdir(parents=True, exist_ok=True)
+            sweep_files.begin_sweep(sweep, names)
+        self.folders, self.jobs = folders, len(folders)
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **arguments: Any) -> None:
         """Note the folder; drop the garbage and the configuration, which Hydra would keep."""
@@ -130,7 +140,7 @@ class Process:
     sweep: Sweep | None = None
     ended: list[Ended]
     reasons: list[str]
-    """How the cluster ended each job, in the order of the jobs; see ``await_all``."""
+    """How the cluster ended each job, in the order of the jobs (see ``await_all``)."""
     launched: list[Path]
     """The folders of the jobs that a launcher returned, if they were not planned."""
 
@@ -175,7 +185,11 @@ def end_job(folder: Path, error: str = "", *, record: bool = True) -> None:
         with suppress(OSError):  # even if the lock has already removed the job's folder
             folder.parent.rmdir()
         if record and is_multirun():
-            sweep_files.record_failure(folder, error)
+            try:
+                sweep_files.record_failure(folder, error)
+            except OSError:  # a full disk: the process that leads the sweep cannot read the reason
+                if not Process.leads:
+                    print(f"error: {folder.name}: {error}", file=sys.stderr)
     else:
         sweep_files.forget_failure(folder)
     ended = Ended(folder, error)
@@ -200,10 +214,12 @@ def collect(start: Callable[[], object]) -> list[Ended]:
     except Exception as error:
         if Process.sweep is not None and Process.sweep.missing:
             raise ConfigError(Process.sweep.missing) from None
-        if Process.sweep is None or not Process.sweep.folders:
-            raise
         # The launcher itself failed: a process was killed, or a timeout.
         reason = f"the launcher failed ({type(error).__name__}: {first_line(error)})"
+        if Process.sweep is not None and Process.sweep.searches and isinstance(error, RuntimeError):
+            raise ConfigError(f"{reason}; run the same command to search again") from None
+        if Process.sweep is None or not Process.sweep.folders:
+            raise
     finally:
         threading.excepthook = before
         sweep = Process.sweep
@@ -218,7 +234,12 @@ def collect(start: Callable[[], object]) -> list[Ended]:
         raise ConfigError("no job was run")
     reasons = zip(sweep.folders, Process.reasons, strict=False)
     lost = {folder: f"{why}; run the same command to resume" for folder, why in reasons if why}
-    return [here.get(folder) or _from_files(folder, lost.get(folder, reason)) for folder in folders]
+    ended = [
+        here.get(folder) or _from_files(folder, lost.get(folder, reason)) for folder in folders
+    ]
+    if sweep.searches and sweep.place is not None:  # which of its jobs were lost is unknown
+        ended += [Ended(sweep.place, why) for why in Process.reasons if why]
+    return ended
 
 
 def _in_thread(error: threading.ExceptHookArgs) -> None:
@@ -267,4 +288,8 @@ def save_hydra(folder: Path, config: DictConfig) -> None:
     }
     (folder / ".hydra").mkdir(exist_ok=True)
     for name, text in files.items():
-        (folder / ".hydra" / name).write_text(text, encoding="utf-8")
+        path = folder / ".hydra" / name
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise named(error, path) from None

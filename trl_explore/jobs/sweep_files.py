@@ -63,15 +63,14 @@ def is_name(job: object) -> bool:
 
 def record_failure(job: Path, reason: str) -> None:
     """Record why a job failed."""
-    with suppress(OSError):  # the terminal shows the reason in any case
-        (job.parent / FAILED).mkdir(exist_ok=True)
-        _write(job.parent / FAILED / f"{job.name}.json", {"job": job.name, "reason": reason})
+    (job.parent / FAILED).mkdir(exist_ok=True)
+    _write(job.parent / FAILED / f"{job.name}.json", {"job": job.name, "reason": reason})
 
 
 def forget_failure(job: Path) -> None:
     """Remove the record of a failure, because the job is finished now."""
     with suppress(OSError):
-        (job.parent / FAILED / f"{job.name}.json").unlink()
+        (job.parent / FAILED / f"{job.name}.json").unlink(missing_ok=True)
         (job.parent / FAILED).rmdir()
 
 

@@ -7,6 +7,7 @@ import os
 import platform
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -186,18 +187,23 @@ def _write_scalars(job: Path, trials: Trials) -> None:
 
     parent = job / ".scalars.tmp"
     shutil.rmtree(parent, ignore_errors=True)  # the logger appends to existing files
+    files: dict[str, Any] = {}
     try:
         logger = CSVLogger(exp_name="curves", log_dir=str(parent))
+        files = logger.experiment.files
         for name, curve in trials.curves().items():
             (_, first), *others = enumerate(curve.tolist(), start=1)
             logger.log_scalar(name, first, step=1)
             # The logger flushes after every value; its open file takes the others at once.
-            with list(logger.experiment.files.values())[-1] as file:
+            with list(files.values())[-1] as file:
                 file.writelines(f"{step},{value}\n" for step, value in others)
         for file in (parent / "curves" / "scalars").iterdir():
             _sync(file)
         (parent / "curves" / "scalars").replace(job / SCALARS)
     except OSError as error:
+        for file in files.values():
+            with suppress(OSError):  # it fails again; the logger's destructor would print that
+                file.close()
         raise named(error, job / SCALARS) from None
     finally:
         shutil.rmtree(parent, ignore_errors=True)

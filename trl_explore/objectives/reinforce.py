@@ -263,10 +263,9 @@ class ReinforceLoss(LossModule):
         weight = weight_of(self.actor_network, parameters, key)
         if weight.shape[0] != self.trials:
             return None
-        return partial(
-            closed_form_of_arrays, weight,
-            gamma=self.gamma, baseline=constant, scale=-self.weight,
-        )  # fmt: skip
+        return lambda frames: closed_form_of_arrays(
+            weight, frames, self.gamma, constant, -self.weight
+        )
 
     def _closed_form(self, episodes: Episodes, weight: Tensor) -> Tensor | None:
         """``backward`` without a graph; None if the closed form does not apply to these data."""

@@ -117,7 +117,8 @@ def initial_weights(
 def spec_env(env: EnvBase) -> EnvBase:
     """The environment to ask for the specs of observations and actions.
 
-    ``StepCounter`` and ``RewardSum`` do not change those, but make all specs slow to compute.
+    ``StepCounter`` and ``RewardSum`` make all specs slow to compute, and do not change those unless
+    they write to the same entries.
     """
     if not isinstance(env, TransformedEnv):
         return env

@@ -257,9 +257,8 @@ class FullMixture(MixtureStrategy):
         total = greedy + softmax + uniform
         return Mixture(greedy / total, softmax / total, uniform / total, self.now("temperature"))
 
-    def advance(self, frames: int | Tensor) -> None:
-        """Advance the schedules, and check that a weight is left."""
-        super().advance(frames)
+    def _refresh(self) -> None:
+        super()._refresh()
         self._check_weights()
 
     def _check_weights(self) -> None:

@@ -77,7 +77,7 @@ class MixtureFamily(BaseStrategy):
         """
         mixture = self.mixture()
         if all([type(value) is float for value in mixture]):  # noqa: C419 - faster
-            one, two, three, _ = mixture
+            one, two, three = mixture[:3]
             if min(one, two, three) >= 0 and abs(one + two + three - 1.0) <= 1e-6:
                 return mixture
         point = type(mixture)(*numbers(mixture))

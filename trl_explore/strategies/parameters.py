@@ -137,12 +137,9 @@ class Parametrised(TensorDictModuleBase):
             ValueError: if more than one frame is given as a number, and a schedule counts
                 iterations.
         """
-        self.advance(self._number(frames))
-
-    def advance(self, frames: int | Tensor) -> None:
-        """Advance by one iteration with this number of frames; [trials] if counted separately."""
-        _add(self.iteration, 1)
-        _add(self.frames, frames)
+        number = self._number(frames)
+        self.iteration.data.add_(1)  # data: also if built in ``torch.inference_mode``
+        self.frames.data.add_(number)
         self._refresh()
 
     def keep_pace(self, other: Parametrised) -> None:
@@ -184,9 +181,14 @@ class Parametrised(TensorDictModuleBase):
         return number
 
 
-def _add(buffer: Tensor, number: int | Tensor) -> None:
-    """Add to a buffer in place, also if it was built in ``torch.inference_mode``."""
-    if isinstance(number, int) and buffer.ndim == 0 and readable(buffer):
-        buffer.numpy()[()] += number  # takes less than half the time
-    else:
-        buffer.data.add_(number)
+def advance(module: Parametrised, frames: int) -> None:
+    """``module.step`` of an iteration of which only the number of frames is known.
+
+    It does not call a ``step`` that a subclass overrides.
+    """
+    for buffer, number in ((module.iteration, 1), (module.frames, frames)):
+        if buffer.dtype is torch.int64 and readable(buffer):
+            buffer.numpy()[()] += number  # takes less than half the time
+        else:
+            buffer.data.add_(number)
+    module._refresh()

@@ -9,11 +9,13 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 
+from trl_explore.checks import holds
 from trl_explore.collectors import EpisodeCollector, Rollout
 from trl_explore.numerics.compiled.cache import clock
 from trl_explore.strategies import BaseStrategy
+from trl_explore.strategies.parameters import advance
 from trl_explore.training.diagnostics import Diagnostics
 from trl_explore.training.evaluation import Evaluator
 from trl_explore.training.intrinsic import CountReward
@@ -26,6 +28,8 @@ PARTS = (
     "snapshots",
 )  # fmt: skip
 """The attributes of the trainer that have a state."""
+STEP = BaseStrategy.step
+"""The step of a strategy that overrides none; a function put in its place later is called."""
 
 
 class TrialLoss(Protocol):
@@ -129,8 +133,9 @@ class Trainer:
         reader = getattr(self.loss, "array_backward", None) if self.intrinsic is None else None
         self._arrays_backward = None if reader is None else reader()
         strategy = self.collector.strategy
-        own = getattr(strategy.step, "__func__", None) is not BaseStrategy.step
-        self._strategy_reads = own or strategy.frames.ndim > 0
+        plain = holds(strategy, "learns_from_data", ["step"]) and not strategy.learns_from_data
+        self._strategy_reads = not plain or strategy.frames.ndim > 0
+        self._own_step = getattr(strategy.step, "__func__", None) is not STEP
 
     @contextmanager
     def _evaluation(self) -> Iterator[None]:
@@ -217,10 +222,13 @@ class Trainer:
         """Let the loss and the strategy learn from the episodes, after the update."""
         if self._arrays_backward is None:
             self.loss.step(rollout.frames)
+        strategy = self.collector.strategy
         if self._strategy_reads:
-            self.collector.strategy.step(rollout.frames)
-        else:  # their number is enough
-            self.collector.strategy.advance(rollout.count)
+            strategy.step(rollout.frames)
+        elif self._own_step:  # their number is enough
+            strategy.step(TensorDict._new_unsafe({}, torch.Size([rollout.count])))
+        else:
+            advance(strategy, rollout.count)
 
     def _keep(self, iteration: int) -> None:
         if self.snapshots is not None:

@@ -57,7 +57,7 @@ class LaneAdam:
         self.steps = 0
         self.exp_avg = [torch.zeros_like(p, requires_grad=False) for p in self.parameters]
         self.exp_avg_sq = [torch.zeros_like(p, requires_grad=False) for p in self.parameters]
-        self._views = Views([*self.parameters, *self.exp_avg, *self.exp_avg_sq])
+        self._views = Views([])
 
     def zero_grad(self) -> None:
         """Discard the gradients."""
@@ -81,6 +81,7 @@ class LaneAdam:
         self.steps += 1
         correction1 = 1 - self.beta1**self.steps
         correction2 = 1 - self.beta2**self.steps
+        self._views.tensors = [*self.parameters, *self.exp_avg, *self.exp_avg_sq]
         arrays, n = self._views(), len(self.parameters)
         parts = zip(
             self.parameters, self.rates, arrays[:n], arrays[n : 2 * n], arrays[2 * n :], strict=True
