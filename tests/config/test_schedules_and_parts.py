@@ -30,7 +30,8 @@ def test_every_schedule_moves_a_parameter(schedule):
     )
     check_keys(config, choices)
     epsilon = build_trainer(config).collector.strategy.schedules["epsilon"]
-    assert type(epsilon).__name__.lower() == schedule
+    name, _, clock = schedule.partition("_")
+    assert (type(epsilon).__name__.lower(), epsilon.clock) == (name, clock or "iterations")
     assert epsilon(0) == 1.0
     assert job_name(config, choices).startswith(f"epsilon_greedy,epsilon={schedule},epsilon.")
 
