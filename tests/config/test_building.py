@@ -247,3 +247,13 @@ def test_evaluations_share_the_environment_of_the_training_and_play_their_own_st
             np.testing.assert_array_equal(got, wanted)
         same = FusedCollector(trainer.collector.env, shared.policy, **options)
         assert (same.play(np.array([0, 1, 1]), np.array([4, 9, 2]))[0] != played[0][0]).any()
+
+
+def test_trainers_that_share_an_environment_keep_their_trials():
+    config, _ = composed("trials=3", "max_iterations=3")
+    first = build_trainer(config, slice(0, 1))
+    second = build_trainer(config, slice(2, 3), first.collector.env)
+    assert second.collector.env is first.collector.env
+    alone = build_trainer(config, slice(0, 1)).run()
+    assert first.run().frames.tolist() == alone.frames.tolist()
+    assert second.run().frames.tolist() == build_trainer(config).run().frames[2:].tolist()

@@ -150,6 +150,21 @@ def test_a_search_whose_processes_are_killed(tmp_path):
         sweeping.collect(fail)
 
 
+def test_a_reason_is_recorded_although_another_job_removes_the_empty_folder(tmp_path, monkeypatch):
+    write, folders = sweep_files.write_whole, []
+
+    def late(path, *arguments, **options):
+        if not folders:
+            folders.append(path.parent)
+            sweep_files.forget_failure(tmp_path / "other")
+        write(path, *arguments, **options)
+
+    monkeypatch.setattr(sweep_files, "write_whole", late)
+    sweep_files.record_failure(tmp_path / "job", "no memory")
+    assert folders
+    assert sweep_files.read_failures(tmp_path) == {"job": "no memory"}
+
+
 def test_a_reason_that_a_worker_cannot_record_is_printed(tmp_path, monkeypatch, capsys):
     def full(path, data, tag=""):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))

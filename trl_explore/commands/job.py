@@ -106,7 +106,7 @@ def train(config: DictConfig, folder: Path) -> None:
         leave_finished(folder, values)
         return
 
-    # A search may try the same values twice at a time; both need the number.
+    # A search may run two jobs with the same values at once; both need the number.
     lock = Lock(folder, wait=tuning_value.is_wanted())
     with lock, Interrupts(lock.release) as interrupts:
         if results.is_finished(folder) and not config.restart:  # finished in the meantime

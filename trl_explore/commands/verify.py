@@ -64,7 +64,7 @@ def verify(job: RecordedJob, place: tuple[int, int] = (0, 1)) -> str:
     recorded = results.read_weights(job.folder)
     if {name: w.shape for name, w in recorded.items()} != {k: w.shape for k, w in weights.items()}:
         return "different names or shapes of weights"
-    error = max(_distance(old, weights[name]) for name, old in recorded.items())
+    error = max((_distance(old, weights[name]) for name, old in recorded.items()), default=0.0)
     if error == 0:
         return SAME
     how = f"weights differ by up to {error:.1g} of the largest"

@@ -95,8 +95,8 @@ def build_trainer(
     Args:
         config: the configuration of a job.
         rows: some of its trials; None: all.
-        env: the environment of a trainer of equally many trials of the same job that had a
-            ``FusedCollector``, which never steps it; None: build it.
+        env: the environment of a trainer of equally many trials of the same job whose
+            collector is a ``FusedCollector``, which never steps it; None: build it.
 
     Raises:
         ConfigError: if a value is not allowed.

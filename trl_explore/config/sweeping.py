@@ -216,7 +216,8 @@ def collect(start: Callable[[], object]) -> list[Ended]:
             raise ConfigError(Process.sweep.missing) from None
         # The launcher itself failed: a process was killed, or a timeout.
         reason = f"the launcher failed ({type(error).__name__}: {first_line(error)})"
-        if Process.sweep is not None and Process.sweep.searches and isinstance(error, RuntimeError):
+        failed = isinstance(error, RuntimeError) and not isinstance(error, NotImplementedError)
+        if failed and Process.sweep is not None and Process.sweep.searches:
             raise ConfigError(f"{reason}; run the same command to search again") from None
         if Process.sweep is None or not Process.sweep.folders:
             raise

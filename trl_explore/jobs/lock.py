@@ -71,7 +71,9 @@ class Lock:
                 if time.monotonic() > deadline:
                     raise
             except (BlockingIOError, LockedError) as error:
-                if time.monotonic() > deadline and not self.wait:
+                if self.wait and is_locked(self.folder):
+                    deadline = time.monotonic() + 10 * PATIENCE
+                if time.monotonic() > deadline:
                     if isinstance(error, LockedError):
                         raise
                     raise LockedError(
@@ -234,7 +236,7 @@ def _runs(text: str) -> bool | None:
 
 
 def is_alive(pid: int) -> bool:
-    """Whether a process of this computer runs; one that has ended may wait for its parent."""
+    """Whether a process of this computer runs; a zombie does not."""
     try:
         os.kill(pid, 0)
     except (ProcessLookupError, OverflowError):

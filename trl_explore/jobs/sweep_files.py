@@ -63,8 +63,14 @@ def is_name(job: object) -> bool:
 
 def record_failure(job: Path, reason: str) -> None:
     """Record why a job failed."""
-    (job.parent / FAILED).mkdir(exist_ok=True)
-    _write(job.parent / FAILED / f"{job.name}.json", {"job": job.name, "reason": reason})
+    for last in (False, False, True):  # another process may remove the folder while it is empty
+        try:
+            (job.parent / FAILED).mkdir(exist_ok=True)
+            _write(job.parent / FAILED / f"{job.name}.json", {"job": job.name, "reason": reason})
+            return
+        except FileNotFoundError:
+            if last:
+                raise
 
 
 def forget_failure(job: Path) -> None:

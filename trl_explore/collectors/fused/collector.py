@@ -74,6 +74,7 @@ class FusedCollector(EpisodeCollector):
     ) -> None:
         super().__init__(env, policy, **options)
         self.stream = self.lanes.stream if stream is None else stream
+        self._first_trial = self.lanes.first_trial  # which may change in a shared environment
         self.kernel, self.network, self._parameters = compilable(env, policy)
         if self.episodes_per_update > 1 and self.strategy.per_episode:
             name = type(self.strategy).__name__
@@ -143,7 +144,7 @@ class FusedCollector(EpisodeCollector):
         strategy = cast(MixtureStrategy, self.strategy)
         acting = strategy.behaviour_parameters(self._parameters) if explore else self._parameters
         return (
-            self.lanes.first_trial,
+            self._first_trial,
             key(self.lanes.seed, self.stream),
             key(self.lanes.seed, Stream.ACTION),
             arrays(self.network, acting),
