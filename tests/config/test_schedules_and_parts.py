@@ -96,18 +96,18 @@ def test_the_bias_of_any_discrete_strategy():
         "correction.strategy.epsilon=0.3"
     )
     assert name(*AS_IF, "correction.strategy.temperature=2").endswith(".temperature=2.0")
-    accepted = []
+    refused = {}
     for option in options("strategy", "discrete"):
         job = ["correction=as_if", f"strategy@correction.strategy={option}", "trials=2"]
         config, choices = composed(*job)
         check_keys(config, choices)
         try:
             build_trainer(config).close()
-            accepted.append(option)
         except ConfigError as error:
-            assert "follow from logits and iteration alone" in str(error)  # noqa: PT017
-    refused = {"count_bonus", "epsilon_z_greedy", "parameter_noise", "vdbe"}
-    assert set(accepted) == {*options("strategy", "discrete")} - refused
+            refused[option] = str(error)
+    assert refused.keys() == {"count_bonus", "epsilon_z_greedy", "parameter_noise", "vdbe"}
+    for message in refused.values():
+        assert "follow from logits and iteration alone" in message
 
 
 def test_the_bias_of_a_strategy_whose_parameter_has_a_schedule():

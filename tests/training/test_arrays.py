@@ -225,20 +225,19 @@ def test_hooks_of_the_weights_are_called(hook, build):
 
 
 def test_a_strategy_that_declares_to_need_no_data_gets_their_number(train):
+    sizes = []
+
     class Curious(EpsilonGreedy):
         learns_from_data = False
-        sizes: list[int] = []  # noqa: RUF012
 
         def step(self, frames=None):
             assert frames.is_empty()
-            self.sizes.append(len(frames))
+            sizes.append(len(frames))
             super().step(frames)
 
     trainer = train(Curious(), collector=FusedCollector)
-    assert len(Curious.sizes) == trainer.trials.iteration
-    assert (
-        sum(Curious.sizes) == trainer.trials.frames.sum() == int(trainer.collector.strategy.frames)
-    )
+    assert len(sizes) == trainer.trials.iteration
+    assert sum(sizes) == trainer.trials.frames.sum() == int(trainer.collector.strategy.frames)
 
 
 def test_a_step_in_place_of_every_strategys_is_called(build, monkeypatch):
