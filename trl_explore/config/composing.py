@@ -141,7 +141,7 @@ class RecordedJob:
         """The trainer of one trial alone, with that trial's own parameters.
 
         Evaluation is off if the training does not depend on it. If the environment is compiled,
-        the trainers of a job share one, so use them one after the other.
+        the trainers of a job share one, which is never stepped.
         """
         from trl_explore.collectors import FusedCollector
 
